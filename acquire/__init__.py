@@ -1,0 +1,1 @@
+"""What to take, and taking it: plans, engine, ring, store and journal."""

@@ -1,0 +1,1 @@
+"""One module per controller: a codec and a link become a protocol."""

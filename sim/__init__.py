@@ -1,0 +1,1 @@
+"""A world to put behind the protocols: specimen, optics, motion and wire-level twins."""

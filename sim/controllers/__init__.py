@@ -1,0 +1,1 @@
+"""Wire-level twins of real controllers: bytes in, bytes out."""
