@@ -1,0 +1,166 @@
+"""What to take: a focal stack as immutable data that enumerates its planes. Positions are whole nanometres inside."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+from devices.errors import PlanError
+from devices.values import to_nm, to_um
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from devices.values import Limits
+
+DEFAULT_TOLERANCE_NM = 200
+
+
+@dataclass(frozen=True)
+class Plane:
+    """One planned plane: its fixed index in the stack and where it is."""
+
+    index: int
+    z_nm: int
+
+    @property
+    def z_um(self) -> float:
+        """Where the stage is sent, in µm."""
+        return to_um(self.z_nm)
+
+
+@dataclass(frozen=True)
+class StackPlan:
+    """A focal stack of ``count`` planes at ``start + k·step``, in the order in which they are taken.
+
+    Attributes
+    ----------
+    start_nm, step_nm : int
+        Position of plane 0 and signed distance between planes.
+    count : int
+        Number of planes, at least 1; all are visited.
+    exposure_ms : float
+        Exposure of each plane.
+    approach : int
+        +1 or -1: every plane is reached by a move in this direction, so that backlash is the same everywhere.
+    overshoot_nm : int
+        How far beyond a plane the stage goes before it comes back in the approach direction; at least the backlash.
+    tolerance_nm : int
+        Largest distance between setpoint and readback at which a plane is taken.
+    return_nm : int or None
+        Where the stage is left afterwards, also after an abort; None stays.
+    """
+
+    start_nm: int
+    step_nm: int
+    count: int
+    exposure_ms: float
+    approach: int = 1
+    overshoot_nm: int = 0
+    tolerance_nm: int = DEFAULT_TOLERANCE_NM
+    return_nm: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.count < 1:
+            raise PlanError("the stack has no planes.", fix="give a range and step that hold at least one plane.")
+        if self.count > 1 and self.step_nm == 0:
+            raise PlanError("the planes of the stack are 0 µm apart.", fix="give a step of at least 0.001 µm.")
+        if not self.exposure_ms > 0:
+            raise PlanError(f"exposure {self.exposure_ms:g} ms is not above zero.", fix="set exposure_ms.")
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __iter__(self) -> Iterator[Plane]:
+        return (Plane(k, self.start_nm + k * self.step_nm) for k in range(self.count))
+
+    def moves_nm(self, plane: Plane) -> tuple[int, ...]:
+        """Return the targets visited to reach a plane from its approach side: one or two positions.
+
+        A plane that follows its neighbour in the approach direction needs no detour.
+        """
+        with_the_grain = self.step_nm * self.approach > 0 and plane.index > 0
+        if with_the_grain or self.overshoot_nm == 0:
+            return (plane.z_nm,)
+        return (plane.z_nm - self.approach * self.overshoot_nm, plane.z_nm)
+
+    def targets_nm(self) -> list[int]:
+        """Return every position the stage will be sent to, the way back included."""
+        visited = [target for plane in self for target in self.moves_nm(plane)]
+        return visited if self.return_nm is None else [*visited, self.return_nm]
+
+    def check(self, limits: Limits) -> None:
+        """Raise `devices.errors.LimitError` if any target lies outside ``limits``; nothing is sent."""
+        for target_nm in (min(self.targets_nm()), max(self.targets_nm())):
+            limits.check(to_um(target_nm))
+
+    def travel_um(self) -> float:
+        """Return the sum of all moves from plane 0 on, in µm."""
+        return sum(abs(to_um(b - a)) for a, b in pairwise(self.targets_nm()))
+
+    def canonical(self) -> dict[str, int | float | None]:
+        """Return the plan as plain data."""
+        return asdict(self)
+
+    @property
+    def plan_id(self) -> str:
+        """sha256 of the canonical JSON: equal plans have equal ids."""
+        text = json.dumps(self.canonical(), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @staticmethod
+    def of_range(first_um: float, last_um: float, step_um: float, exposure_ms: float, **rest: int | None) -> StackPlan:
+        """Plan the planes from ``first_um`` towards ``last_um``, ``step_um`` apart, not past ``last_um``.
+
+        The last plane may lie up to one step short of ``last_um``; planes are never squeezed.
+        """
+        span_nm, step_nm = to_nm(last_um) - to_nm(first_um), abs(to_nm(step_um))
+        if step_nm == 0:
+            raise PlanError(f"step {step_um:g} µm is less than 0.001 µm.", fix="give a larger step.")
+        signed_nm = step_nm if span_nm >= 0 else -step_nm
+        count = abs(span_nm) // step_nm + 1
+        return StackPlan(to_nm(first_um), signed_nm, count, exposure_ms, **rest)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a plan will cost. Times are sums of the parts that can be known before."""
+
+    planes: int
+    seconds: float
+    bytes_on_disk: int
+    exposure_s: float
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How fast an instrument is, for estimates.
+
+    Attributes
+    ----------
+    speed_um_s : float
+        Speed of the axis.
+    settle_s, overhead_s, readout_s : float
+        Per move: waiting for rest, and the controller's question and answer; per frame: readout.
+    """
+
+    speed_um_s: float
+    settle_s: float
+    overhead_s: float = 0.03
+    readout_s: float = 0.0
+
+
+def estimate(plan: StackPlan, frame_bytes: int, pace: Pace) -> Estimate:
+    """Return planes, time and disk of a plan; disk as if nothing could be compressed."""
+    moves = len(plan.targets_nm())
+    exposure_s = plan.count * plan.exposure_ms / 1000
+    seconds = (
+        plan.travel_um() / pace.speed_um_s
+        + moves * (pace.settle_s + pace.overhead_s)
+        + exposure_s
+        + plan.count * pace.readout_s
+    )
+    return Estimate(plan.count, seconds, plan.count * frame_bytes, exposure_s)

@@ -1,0 +1,315 @@
+"""A run on disk: planes in OME-Zarr, facts in the journal. Data first, then the journal, then the published shape.
+
+``RUN/run.json`` what was planned · ``RUN/journal.jsonl`` what happened · ``RUN/focal.ome.zarr`` the planes ·
+``RUN/planes.csv`` the table of planes, made from the journal when the run ends.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import zlib
+from dataclasses import asdict, dataclass, fields
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import tensorstore
+
+from acquire import journal as diary
+from acquire.frame import Frame, FrameHeader
+from acquire.ome_zarr import FocalArray, replace_json, sync_folder
+from devices.errors import InputError, StoreError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from devices.protocols import Clock
+
+FORMAT = "stereotome-run"
+FORMAT_VERSION = 1
+INLINE_PLANES = 2000  # above this the table of planes lives in planes.csv and the journal alone
+
+
+class RunEnd(StrEnum):
+    """How a run on disk ended, or that it did not."""
+
+    COMPLETED = "COMPLETED"
+    COMPLETED_WITH_GAPS = "COMPLETED_WITH_GAPS"
+    CANCELLED = "CANCELLED"
+    FAILED = "FAILED"
+    RUNNING = "RUNNING"
+    INTERRUPTED = "INTERRUPTED"
+
+
+@dataclass(frozen=True)
+class PlaneRecord:
+    """One durable plane as the journal has it."""
+
+    header: FrameHeader
+    nbytes: int
+
+    @property
+    def plane(self) -> int:
+        """Index of the plane in the plan."""
+        return self.header.plane
+
+
+def checksum(pixels: np.ndarray) -> int:
+    """Return zlib.crc32 of the pixels in C order, little endian."""
+    return zlib.crc32(np.ascontiguousarray(pixels).data)
+
+
+def free_bytes(folder: Path) -> int:
+    """Return the bytes free for us on the disk that holds ``folder`` or its nearest existing parent."""
+    while not folder.exists():
+        folder = folder.parent
+    return shutil.disk_usage(folder).free
+
+
+class _PlaneFiles:
+    """The array on disk: writes and reads one plane, independent of the published shape."""
+
+    def __init__(self, folder: Path, layout: FocalArray) -> None:
+        spec = {
+            "driver": "zarr3",
+            "kvstore": {"driver": "file", "path": str(folder)},
+            "metadata": layout.array_json(layout.planned),
+            # an all-black plane is a plane: without its file it could not be told from a missing one
+            "store_data_equal_to_fill_value": True,
+        }
+        self._array = tensorstore.open(spec, open=True, assume_metadata=True).result()
+        self._grid = folder / "c" / "0" / "0"
+        self._bands = layout.bands
+
+    def write(self, plane: int, pixels: np.ndarray) -> None:
+        planar = pixels[np.newaxis] if self._bands == 1 else np.moveaxis(pixels, -1, 0)
+        self._array[0, :, plane].write(planar).result()  # the library syncs the file and its own folder
+        sync_folder(self._grid / str(plane))
+        sync_folder(self._grid)
+
+    def read(self, plane: int) -> np.ndarray:
+        planar = np.asarray(self._array[0, :, plane].read().result())
+        return planar[0] if self._bands == 1 else np.ascontiguousarray(np.moveaxis(planar, 0, -1))
+
+
+class RunStore:
+    """Writer of one run's folder. Used by one thread; `put` and `commit` return when the disk has it.
+
+    Any `OSError` or tensorstore error means the plane is not durable; the run has to end before anything
+    irreversible happens.
+    """
+
+    def __init__(self, folder: Path, manifest: dict[str, Any], layout: FocalArray, clock: Clock) -> None:
+        self.folder = folder
+        self._layout = layout
+        self._name = str(manifest.get("name", folder.name))
+        self._image = folder / "focal.ome.zarr"
+        self._pending: list[PlaneRecord] = []
+        self._records: dict[int, PlaneRecord] = {}
+        self._published = 0
+        _make_skeleton(folder, manifest, layout, self._name)
+        self.journal = diary.Journal(folder / "journal.jsonl", clock)
+        sync_folder(folder)
+        self.journal.append({"e": "run_created", "plan_id": manifest["plan_id"], "planned": layout.planned})
+        self._files = _PlaneFiles(self._image / "0", layout)
+
+    @property
+    def durable(self) -> int:
+        """Number of planes that are on disk, verified and in the journal."""
+        return len(self._records)
+
+    def put(self, frame: Frame) -> None:
+        """Write one plane, read it back and compare; it counts as durable from the next `commit` on."""
+        crc = checksum(frame.pixels)
+        self._files.write(frame.header.plane, frame.pixels)
+        if checksum(self._files.read(frame.header.plane)) != crc:
+            raise StoreError(
+                f"plane {frame.header.plane} reads back differently from what was written to {self.folder}.",
+                why="The disk or the memory is failing.",
+                fix="stop using this disk; the planes before are verified: --out DIR on another one",
+                code="verify-failed",
+            )
+        header = FrameHeader(**{**asdict(frame.header), "crc32": crc})
+        self._pending.append(PlaneRecord(header, frame.pixels.nbytes))
+
+    @property
+    def pending(self) -> int:
+        """Planes written but not committed yet."""
+        return len(self._pending)
+
+    def commit(self) -> None:
+        """Write the journal records of all pending planes, then publish the new shape."""
+        if not self._pending:
+            return
+        self.journal.append(*({"e": "plane", "nbytes": r.nbytes, **asdict(r.header)} for r in self._pending))
+        self._records.update({record.plane: record for record in self._pending})
+        self._pending.clear()
+        self._publish()
+
+    def _publish(self) -> None:
+        shape = 1 + max(self._records)
+        if shape > self._published:
+            replace_json(self._image / "0" / "zarr.json", self._layout.array_json(shape))
+            self._published = shape
+
+    def finalise(self, end: RunEnd, reason: str = "") -> RunEnd:
+        """Commit what is pending, write the tables, then the END record: the run's last word.
+
+        A run that is said to be COMPLETED while planes are missing is recorded as COMPLETED_WITH_GAPS.
+        """
+        self.commit()
+        missing = [k for k in range(self._layout.planned) if k not in self._records]
+        if end is RunEnd.COMPLETED and missing:
+            end = RunEnd.COMPLETED_WITH_GAPS
+        ordered = [self._records[k] for k in sorted(self._records)]
+        write_planes_csv(self.folder / "planes.csv", ordered)
+        self._write_plane_table(ordered, missing)
+        self.journal.append({"e": "end", "state": str(end), "missing": missing, "reason": reason})
+        return end
+
+    def _write_plane_table(self, ordered: list[PlaneRecord], missing: list[int]) -> None:
+        if len(ordered) > INLINE_PLANES:
+            return
+        table = [{"plane": r.plane, "z_um": r.header.z_um, "setpoint_um": r.header.setpoint_um} for r in ordered]
+        group = self._layout.group_json(self._name, {"planes": table, "missing": missing})
+        replace_json(self._image / "zarr.json", group)
+
+    def close(self) -> None:
+        """Close the journal. Without an END record the run is INTERRUPTED."""
+        self.journal.close()
+
+
+def _make_skeleton(folder: Path, manifest: dict[str, Any], layout: FocalArray, name: str) -> None:
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        raise InputError(
+            f"{folder} exists already. Nothing was started.",
+            why="A run never writes into a folder that holds something.",
+            fix="choose another folder: --out DIR",
+            code="output-exists",
+        ) from None
+    grid = folder / "focal.ome.zarr" / "0" / "c" / "0" / "0"
+    grid.mkdir(parents=True)
+    replace_json(folder / "focal.ome.zarr" / "zarr.json", layout.group_json(name))
+    replace_json(folder / "focal.ome.zarr" / "0" / "zarr.json", layout.array_json(0))
+    head = {"format": FORMAT, "version": FORMAT_VERSION, "array": asdict(layout)}
+    replace_json(folder / "run.json", {**head, **manifest})
+    # after a power cut a file is only as safe as every folder above it
+    for made in (grid, *grid.parents):
+        sync_folder(made)
+        if made == folder.parent:
+            break
+
+
+def write_planes_csv(path: Path, records: Iterable[PlaneRecord]) -> None:
+    """Write the table of planes, one row each."""
+    part = path.with_name(path.name + ".part")
+    with part.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow([field.name for field in fields(FrameHeader)])
+        table.writerows(asdict(record.header).values() for record in records)
+        file.flush()
+        os.fsync(file.fileno())
+    part.replace(path)
+    sync_folder(path.parent)
+
+
+class StoredRun:
+    """Reader of a run's folder, finished or not. What is durable is what the journal says."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.manifest = _read_manifest(folder)
+        array = dict(self.manifest["array"])
+        self.layout = FocalArray(**{**array, "shape": tuple(array["shape"])})
+        self._files = _PlaneFiles(folder / "focal.ome.zarr" / "0", self.layout)
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Read the journal again: a run in progress has more planes now."""
+        records, _ = diary.read(self.folder / "journal.jsonl")
+        self.planes = {record["plane"]: _plane_record(record) for record in records if record["e"] == "plane"}
+        self.missed = {r["plane"]: str(r["reason"]) for r in records if r["e"] == "missed"}
+        self._end = next((r for r in reversed(records) if r["e"] == "end"), None)
+
+    @property
+    def state(self) -> RunEnd:
+        """How the run ended; RUNNING while a living process writes it, INTERRUPTED when that process died."""
+        if self._end is not None:
+            return RunEnd(self._end["state"])
+        alive = diary.is_open_elsewhere(self.folder / "journal.jsonl")
+        return RunEnd.RUNNING if alive else RunEnd.INTERRUPTED
+
+    @property
+    def missing(self) -> list[int]:
+        """Planned planes that are not durable."""
+        return [k for k in range(self.layout.planned) if k not in self.planes]
+
+    def read(self, plane: int) -> np.ndarray:
+        """Return a durable plane, (height, width[, bands]), checked against the journal's checksum.
+
+        Raises
+        ------
+        StoreError
+            The plane is not durable, or its pixels are not those that were taken.
+        """
+        if plane not in self.planes:
+            raise StoreError(f"{self.folder}: plane {plane} is missing.", code="plane-missing")
+        try:
+            pixels = self._files.read(plane)
+        except (OSError, ValueError) as error:  # tensorstore reports a broken shard as ValueError
+            raise self._damaged(plane) from error
+        if checksum(pixels) != self.planes[plane].header.crc32:
+            raise self._damaged(plane)
+        return pixels
+
+    def _damaged(self, plane: int) -> StoreError:
+        return StoreError(
+            f"{self.folder}: plane {plane} is damaged on disk.",
+            why="Its checksum differs from the one in the journal.",
+            fix="restore the folder from a copy; the other planes can be used",
+            code="plane-damaged",
+        )
+
+    def publish(self) -> None:
+        """Make the OME-Zarr shape agree with the journal: a run killed between the two may lag behind."""
+        shape = 1 + max(self.planes, default=-1)
+        path = self.folder / "focal.ome.zarr" / "0" / "zarr.json"
+        if json.loads(path.read_text(encoding="utf-8"))["shape"][2] < shape:
+            replace_json(path, self.layout.array_json(shape))
+
+
+def _plane_record(record: diary.Record) -> PlaneRecord:
+    names = {field.name for field in fields(FrameHeader)}
+    return PlaneRecord(FrameHeader(**{k: v for k, v in record.items() if k in names}), record["nbytes"])
+
+
+def is_run(folder: Path) -> bool:
+    """Tell whether a folder is a run of this program."""
+    return (folder / "run.json").is_file() and (folder / "journal.jsonl").is_file()
+
+
+def open_run(folder: Path) -> StoredRun:
+    """Open a run's folder for reading."""
+    return StoredRun(folder)
+
+
+def _read_manifest(folder: Path) -> dict[str, Any]:
+    try:
+        manifest: dict[str, Any] = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{folder} is not a run folder.", why=f"run.json: {error}", fix="name the folder a run made", code="no-run"
+        ) from None
+    if manifest.get("format") != FORMAT or manifest.get("version") != FORMAT_VERSION:
+        raise InputError(
+            f"{folder} was written in format {manifest.get('format')} {manifest.get('version')}.",
+            fix=f"open it with the version of the program that wrote it; this one reads {FORMAT} {FORMAT_VERSION}",
+            code="no-run",
+        )
+    return manifest
