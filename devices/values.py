@@ -31,7 +31,8 @@ class Limits:
         """Raise `LimitError` unless ``min_um <= z_um <= max_um``; a NaN is outside."""
         if not math.isfinite(z_um) or not self.min_um <= z_um <= self.max_um:
             raise LimitError(
-                f"{axis}: {z_um:+.2f} µm is outside the soft limits {self.min_um:g} … {self.max_um:g} µm. Nothing moved.",
+                f"{axis}: {z_um:+.2f} µm is outside the soft limits {self.min_um:g} … {self.max_um:g} µm. "
+                "Nothing moved.",
                 fix="choose a position inside the limits, or change limits in the instrument file.",
             )
 
