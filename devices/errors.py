@@ -6,7 +6,16 @@ clear message and leave with the exit code documented in ``docs/errors.md``.
 
 from __future__ import annotations
 
+import difflib
 from typing import ClassVar
+
+
+def did_you_mean(word: str, known: list[str]) -> str:
+    """Return ``"; did you mean 'port'?"`` when a known word is near, else the list of what is known."""
+    near = difflib.get_close_matches(word, known, n=1)
+    if near:
+        return f"; did you mean '{near[0]}'?"
+    return f"; known here: {', '.join(sorted(known))}" if known else ""
 
 
 class StereotomeError(Exception):
@@ -40,7 +49,9 @@ class StereotomeError(Exception):
         lines = [f"error[{self.code}]: {self.what}"]
         if self.why:
             lines.append(f"  why: {self.why}")
-        lines += [f"  {label}: {fix}" for label, fix in zip(("fix", *["or"] * len(self.fix)), self.fix, strict=False)]
+        lines += [
+            f"  {label:>3}: {fix}" for label, fix in zip(("fix", *["or"] * len(self.fix)), self.fix, strict=False)
+        ]
         return "\n".join(lines)
 
 

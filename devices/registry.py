@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, Literal
 
-from devices.errors import RigError
-from devices.toml_model import did_you_mean
+from devices.errors import RigError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Callable

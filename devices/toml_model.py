@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 import tomllib
@@ -10,10 +9,11 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from devices.errors import did_you_mean
 from devices.toml_lines import KeyPath, key_lines
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from pydantic_core import ErrorDetails
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 M = TypeVar("M", bound=BaseModel)
 Problems = dict[KeyPath, list[str]]
+Place = tuple[int, str]
 
 
 class Table(BaseModel):
@@ -30,8 +31,19 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-def load_model(path: Path, model: type[M], error: type[StereotomeError]) -> M:
+def load_model(path: Path, model: type[M], error: type[StereotomeError], *, overrides: Sequence[str] = ()) -> M:
     """Read a TOML file into ``model``.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    model : type
+        The pydantic model of the whole file.
+    error : type
+        Class of the error to raise.
+    overrides : sequence of str
+        ``"stack.step=2.5"``: values that replace or add to the file's, written as TOML; other words are text.
 
     Raises
     ------
@@ -44,15 +56,18 @@ def load_model(path: Path, model: type[M], error: type[StereotomeError]) -> M:
         raise error(f"{path}: no such file.", fix="check the name, or give another file.") from None
     except (OSError, UnicodeDecodeError) as cause:
         raise error(f"{path}: cannot be read as text: {cause}") from cause
-    return load_text(text, str(path), model, error)
+    return load_text(text, str(path), model, error, overrides=overrides)
 
 
-def load_text(text: str, name: str, model: type[M], error: type[StereotomeError]) -> M:
+def load_text(
+    text: str, name: str, model: type[M], error: type[StereotomeError], *, overrides: Sequence[str] = ()
+) -> M:
     """Read a TOML text into ``model``; ``name`` stands for the file in messages. Raises as `load_model` does."""
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as cause:
         raise error(_listed(name, [_syntax_problem(str(cause), text, name)])) from None
+    overridden = {_override(data, given, error): (0, f"--set {given}") for given in overrides}
     problems: Problems = {path: ["must be a finite number"] for path in _not_finite(data, ())}
     try:
         instance = model.model_validate(data)
@@ -61,7 +76,29 @@ def load_text(text: str, name: str, model: type[M], error: type[StereotomeError]
     else:
         if not problems:
             return instance
-    raise error(_listed(name, _with_lines(problems, text, name)))
+    places = {path: (line, f"{name}:{line}") for path, line in key_lines(text).items()}
+    raise error(_listed(name, _with_places(problems, places | overridden, name)))
+
+
+def _override(data: dict[str, Any], given: str, error: type[StereotomeError]) -> KeyPath:
+    """Put one ``key.path=value`` into ``data`` and return its path."""
+    dotted, equals, value = given.partition("=")
+    path = tuple(part.strip() for part in dotted.split("."))
+    if not equals or not all(path):
+        raise error(f"--set {given}: is not of the form key=value", fix="write for example --set stack.step=2.5")
+    for part in path[:-1]:
+        data = data.setdefault(part, {})
+        if not isinstance(data, dict):
+            raise error(f"--set {given}: '{part}' is a value, not a table.")
+    data[path[-1]] = _toml_value(value.strip())
+    return path
+
+
+def _toml_value(text: str) -> object:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
 
 
 def _syntax_problem(said: str, text: str, name: str) -> str:
@@ -75,17 +112,19 @@ def _listed(name: str, problems: list[str]) -> str:
     return "\n    ".join([f"{name} has {count}:", *problems])
 
 
-def _with_lines(problems: Problems, text: str, name: str) -> list[str]:
-    lines = key_lines(text)
-    placed = sorted((_line_of(path, lines), path, words) for path, words in problems.items())
-    return [f"{name}:{line}: {_dotted(path)}{' or '.join(dict.fromkeys(words))}" for line, path, words in placed]
+def _with_places(problems: Problems, places: dict[KeyPath, Place], name: str) -> list[str]:
+    placed = [
+        (_place_of(path, places, name), f"{_dotted(path)}{' or '.join(dict.fromkeys(words))}")
+        for path, words in problems.items()
+    ]
+    return [f"{place}: {words}" for (_, place), words in sorted(placed)]
 
 
-def _line_of(path: KeyPath, lines: dict[KeyPath, int]) -> int:
-    """Return the line of the key, or of the nearest table around it that is written down."""
-    while path and path not in lines:
+def _place_of(path: KeyPath, places: dict[KeyPath, Place], name: str) -> Place:
+    """Return the place of the key, or of the nearest table around it that is written down."""
+    while path and path not in places:
         path = path[:-1]
-    return lines.get(path, 1)
+    return places.get(path, (1, f"{name}:1"))
 
 
 def _dotted(path: KeyPath) -> str:
@@ -133,14 +172,6 @@ def _words(detail: ErrorDetails, path: KeyPath, model: type[BaseModel]) -> str:
         return detail["msg"].removeprefix("Value error, ")
     said = detail["msg"][0].lower() + detail["msg"][1:]
     return said.replace("input should be", "should be") + f", not {detail['input']!r}"
-
-
-def did_you_mean(word: str, known: list[str]) -> str:
-    """Return ``"; did you mean 'port'?"`` when a known word is near, the list of known words when it is short."""
-    near = difflib.get_close_matches(word, known, n=1)
-    if near:
-        return f"; did you mean '{near[0]}'?"
-    return f"; known here: {', '.join(sorted(known))}" if known else ""
 
 
 def _keys_at(path: KeyPath, model: type[BaseModel]) -> list[str]:

@@ -108,6 +108,23 @@ def test_a_file_that_is_not_there_or_no_text(tmp_path: Path):
         load_rig(tmp_path / "binary.toml")
 
 
+def test_an_override_replaces_adds_and_is_named_when_wrong():
+    spec = load_text(GOOD, "x", RigSpec, RigError, overrides=("stage.z.baud=9600", "notes=wet", "sim.seed = 3"))
+    assert (spec.stage.z.baud, spec.notes, spec.sim.seed) == (9600, "wet", 3)
+    with pytest.raises(RigError) as caught:
+        load_text(GOOD, "x", RigSpec, RigError, overrides=("stage.z.buad=9600", "optics.na=nan"))
+    assert caught.value.what.splitlines()[1:] == [
+        "    --set optics.na=nan: optics.na: must be a finite number",
+        "    --set stage.z.buad=9600: stage.z.buad: unknown key; did you mean 'baud'?",
+    ]
+
+
+@pytest.mark.parametrize("given", ["stage", "=1", "name.first=1", "a..b=1"])
+def test_an_override_that_is_none(given: str):
+    with pytest.raises(RigError, match="--set "):
+        load_text(GOOD, "x", RigSpec, RigError, overrides=(given,))
+
+
 def test_images_are_sought_beside_the_instrument_file(tmp_path: Path):
     file = tmp_path / "rig.toml"
     file.write_text(GOOD.replace('"opencv"', '"folder"').replace('"0"', '"planes"\nstep_um = 2.0'))

@@ -1,0 +1,119 @@
+"""The program ``stereotome``: finds its subcommands, runs one, and turns whatever happens into words and an exit code.
+
+Every package contributes subcommands through entry points of the group ``stereotome.commands``; a name of two words
+such as ``"process focus"`` is a subcommand of a subcommand. A command's module is imported only when it is used. A
+command is a plain function; it returns its exit code, or None for 0.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import tempfile
+import traceback
+from datetime import UTC, datetime
+from importlib.metadata import entry_points, version
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+from cyclopts import App, CycloptsError, UnknownCommandError
+
+from devices.errors import StereotomeError, did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from types import FrameType
+
+GROUP = "stereotome.commands"
+HELP = "Takes focal and section stacks at the microscope and shows the third dimension."
+GROUP_HELP = {
+    "config": "Look at instrument and recipe files.",
+    "devices": "Look at what is connected.",
+    "process": "Make pictures and measurements from stacks.",
+    "sim": "A simulated bench to put in place of an instrument.",
+}
+USAGE, INTERRUPTED = 2, 130
+
+
+def main() -> NoReturn:
+    """Run the program with the arguments of the command line and leave with its exit code."""
+    signal.signal(signal.SIGTERM, _leave)
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command and return its exit code; nothing but words reaches the user."""
+    try:
+        result = build_app()(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+    except StereotomeError as error:
+        return _say(error.message(), error.exit_code)
+    except CycloptsError as error:
+        return _say(_usage(error), USAGE)
+    except KeyboardInterrupt:
+        return _say("interrupted.", INTERRUPTED)
+    except BrokenPipeError:
+        return _reader_left()
+    except Exception as bug:  # noqa: BLE001  the last stop before the user: a bug becomes one line and a log entry
+        return _say(f"error[bug]: {type(bug).__name__}: {bug}; traceback in {_logged(arguments)}", 1)
+    return result if isinstance(result, int) else 0
+
+
+def build_app() -> App:
+    """Return the program with every installed command, none of them imported yet."""
+    app = App("stereotome", help=HELP, version=lambda: version("stereotome"), suppress_keyboard_interrupt=False)
+    groups = {"": app}
+    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+        group, _, name = point.name.rpartition(" ")
+        if group not in groups:
+            groups[group] = App(group, help=GROUP_HELP.get(group, ""))
+            app.command(groups[group])
+        groups[group].command(point.value, name=name)
+    return app
+
+
+def _usage(error: CycloptsError) -> str:
+    command = " ".join(["stereotome", *(error.command_chain or ())])
+    words = _unknown_command(error) if isinstance(error, UnknownCommandError) else " ".join(str(error).split())
+    return f"error[usage]: {words}\n  fix: see {command} --help"
+
+
+def _unknown_command(error: UnknownCommandError) -> str:
+    """Word it from the names alone: the framework would import every command to do so."""
+    group = " ".join(error.command_chain or ())
+    names = [point.name for point in entry_points(group=GROUP)]
+    known = [name.removeprefix(group).split()[0] for name in names if name.startswith(group)]
+    word = (error.unused_tokens or [""])[0]
+    return f"no command '{word}'{did_you_mean(word, sorted(set(known)))}"
+
+
+def _say(words: str, code: int) -> int:
+    sys.stderr.write(f"{words}\n")
+    return code
+
+
+def _leave(signum: int, frame: FrameType | None) -> NoReturn:  # noqa: ARG001  the shape of a signal handler
+    sys.exit(128 + signum)
+
+
+def _reader_left() -> int:
+    """Nobody reads our output any more (``| head``): be quiet, also when Python flushes at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
+
+
+def _logged(arguments: Sequence[str]) -> Path:
+    """Append the present traceback to the log and return the log's path."""
+    entry = f"{datetime.now(UTC).isoformat()} stereotome {' '.join(arguments)}\n{traceback.format_exc()}\n"
+    state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "stereotome"
+    try:
+        return _append(state / "bugs.log", entry)
+    except OSError:
+        return _append(Path(tempfile.gettempdir()) / f"stereotome-bugs-{os.getpid()}.log", entry)
+
+
+def _append(log: Path, entry: str) -> Path:
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with log.open("a", encoding="utf-8") as file:
+        file.write(entry)
+    return log
