@@ -1,0 +1,402 @@
+"""Extended focus and range image of a focal stack, measured plane by plane as it is taken.
+
+Where a surface is in focus its image is sharpest. `FocusSweep` follows the sharpness of every pixel through the planes
+and keeps only what is needed to place the peak between planes; `gather` then composes the picture that is sharp
+everywhere. `focus_stack` does both for a whole stack and gives the same bits as planes added one by one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import cv2
+import numpy as np
+
+from devices.errors import InputError
+from processing.focus_kernels import (
+    SAMPLES,
+    blend,
+    fit_peaks,
+    gradient_energy,
+    halve,
+    nearest_plane,
+    track_peak,
+    widen,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[Any]
+    Fit = tuple[Array, Array, Array]
+
+Method = Literal["brightfield", "confocal"]
+
+# Each window is twice as wide as the one before: about 2, 4, 8 and 16 pixels rms. A pixel is measured in the smallest
+# window whose confidence reaches its threshold; the widest one always has a say.
+THRESHOLDS = (2.5, 1.2, 0.8, 0.0)
+CONFIDENT = 0.8
+GATHER_SHARE = 0.17  # standard deviation of the averaging in depth, as a share of the focus curve's width
+BINOMIAL = np.array([1, 4, 6, 4, 1], np.float32) / 16
+SMALLEST_STACK = 3  # with fewer planes there is no peak to speak of
+NOISE_ROWS = 32  # every 32nd row is enough to estimate the camera's noise
+LUMINANCE = cv2.COLOR_RGB2GRAY
+
+
+@dataclass(frozen=True)
+class RangeImage:
+    """What a focal stack says about depth; all arrays (height, width).
+
+    Attributes
+    ----------
+    range_ : array float32
+        Position of best focus in the unit of ``z``: µm, or planes counted from 0.
+    confidence : array float32
+        (max - mean) / mean of the sharpness through the stack; 0 where nothing is known.
+    plane : array uint16
+        Plane nearest to the best focus.
+    width : array float32
+        Width of the focus curve at half its height, in the unit of ``z``; 0 where it has none.
+    edge : array bool
+        Best focus in the first or last plane: the surface may lie outside the stack.
+    noise : float
+        Camera noise (rms) in grey levels.
+    z : array (planes,) float64
+        Position of every plane.
+    """
+
+    range_: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    plane: NDArray[np.uint16]
+    width: NDArray[np.float32]
+    edge: NDArray[np.bool_]
+    noise: float
+    z: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FocusResult:
+    """Everything `focus_stack` finds out.
+
+    Attributes
+    ----------
+    extended_focus : array like a plane
+        Every pixel from the planes where it is in focus.
+    range, confidence, plane
+        As in `RangeImage`.
+    unit : {"um", "plane"}
+        Unit of ``range``.
+    noise : float
+        Camera noise (rms) in grey levels.
+    share_confident : float
+        Share of pixels with a confidence of at least ``parameters["confident"]``.
+    parameters : dict
+        Every choice that was made, also the ones made by the program.
+    """
+
+    extended_focus: Array
+    range: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    plane: NDArray[np.uint16]
+    unit: Literal["um", "plane"]
+    noise: float
+    share_confident: float
+    parameters: dict[str, Any]
+
+
+class PeakTrack:
+    """Running peak through the planes for every pixel of one window: the peak, two samples on either side, the sum."""
+
+    def __init__(self, shape: tuple[int, int], dtype: type[Any]) -> None:
+        self._shape = shape
+        size = shape[0] * shape[1]
+        self._samples = np.zeros((SAMPLES, size), dtype)
+        self._recent = [np.zeros(size, dtype) for _ in range(2)]
+        self._plane = np.zeros(size, np.uint16)
+        self._total = np.zeros(size, np.float32)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes held between planes."""
+        arrays = (self._samples, self._plane, self._total, *self._recent)
+        return sum(a.nbytes for a in arrays)
+
+    def add(self, value: Array, k: int) -> None:
+        """Take the values of plane ``k``."""
+        flat = value.reshape(-1)
+        before, earlier = self._recent
+        track_peak(flat, before, earlier, k, self._plane, self._samples, self._total)
+        earlier[:] = flat
+        self._recent = [earlier, before]
+
+    def fit(self, z: NDArray[np.float64]) -> Fit:
+        """Return position, confidence and width of the peaks, each of the window's shape, float32."""
+        position, confidence, width = (np.empty(self._shape, np.float32) for _ in range(3))
+        flat = (a.reshape(-1) for a in (position, confidence, width))
+        fit_peaks(self._samples, self._total, self._plane, z, *flat)
+        return position, confidence, width
+
+
+def half_shape(shape: tuple[int, int]) -> tuple[int, int]:
+    """Shape at half resolution, odd sizes rounded up."""
+    return (shape[0] + 1) // 2, (shape[1] + 1) // 2
+
+
+class FocusSweep:
+    """Measures focus plane by plane; keeps a state of fixed size and none of the planes.
+
+    Parameters
+    ----------
+    shape : (height, width)
+        Size of a plane in pixels.
+    method : {"brightfield", "confocal"}
+        Sharpness of opaque surfaces, or brightness of optical sections.
+    """
+
+    def __init__(self, shape: tuple[int, int], *, method: Method = "brightfield") -> None:
+        self.shape = shape
+        self.method = method
+        self.count = 0
+        self.noise = np.inf
+        self._windows: list[PeakTrack] = []
+        self._energy: list[Array] = []
+
+    @property
+    def state_bytes_per_pixel(self) -> float:
+        """Bytes of state for every pixel of a plane, work space included."""
+        held = sum(w.nbytes for w in self._windows) + sum(2 * e.nbytes for e in self._energy)
+        return held / (self.shape[0] * self.shape[1])
+
+    def add(self, plane: Array) -> None:
+        """Take the next plane, (height, width) or (height, width, 3), uint8 or uint16."""
+        check_plane(plane, self.shape)
+        self.noise = min(self.noise, plane_noise(plane))
+        if self.method == "confocal":
+            self._add_brightness(plane)
+        else:
+            self._add_sharpness(plane)
+        self.count += 1
+
+    def _add_brightness(self, plane: Array) -> None:
+        grey = plane if plane.ndim == 2 else cv2.cvtColor(plane, LUMINANCE)
+        if not self._windows:
+            self._windows = [PeakTrack(self.shape, grey.dtype.type)]
+        self._windows[0].add(np.ascontiguousarray(grey), self.count)
+
+    def _add_sharpness(self, plane: Array) -> None:
+        if not self._windows:
+            self._make_windows()
+        bands = 1 if plane.ndim == 2 else plane.shape[2]
+        gradient_energy(np.ascontiguousarray(plane).reshape(plane.shape[0], -1), bands, self._energy[0])
+        for energy, window, coarser in zip(self._energy, self._windows, [*self._energy[1:], None], strict=True):
+            smooth = cv2.sepFilter2D(energy, -1, BINOMIAL, BINOMIAL, borderType=cv2.BORDER_REPLICATE)
+            window.add(smooth, self.count)
+            if coarser is not None:
+                halve(smooth, coarser)
+
+    def _make_windows(self) -> None:
+        shape = self.shape
+        for _ in THRESHOLDS:
+            shape = half_shape(shape)
+            self._windows.append(PeakTrack(shape, np.float32))
+            self._energy.append(np.empty(shape, np.float32))
+
+    def preview(self) -> RangeImage:
+        """Return the range so far, in planes."""
+        return self.finish()
+
+    def finish(self, z_um: Array | None = None) -> RangeImage:
+        """Return the range image of the planes taken so far; more may be added afterwards.
+
+        Parameters
+        ----------
+        z_um : array (planes,), optional
+            Position of every plane, rising or falling, evenly spaced or not; plane numbers when left out.
+
+        Raises
+        ------
+        InputError
+            No plane was added, or the positions are no strictly rising or falling sequence of finite numbers.
+        """
+        z = plane_positions(z_um, self.count)
+        fits = [window.fit(z) for window in self._windows]
+        if self.method == "confocal":
+            position, confidence, width = fits[0]
+        else:
+            position, confidence, width = (doubled(a, self.shape) for a in merge(fits))
+        plane = np.empty(self.shape, np.uint16)
+        nearest_plane(position.reshape(-1), z, plane.reshape(-1))
+        if self.count < SMALLEST_STACK:
+            position, confidence, width = z[plane].astype(np.float32), np.zeros_like(confidence), np.zeros_like(width)
+        edge = (plane == 0) | (plane == self.count - 1)
+        return RangeImage(position, confidence, plane, width, edge, self.noise, z)
+
+
+def merge(fits: list[Fit]) -> Fit:
+    """Take every pixel from the smallest window that is sure of it, then remove single outliers."""
+    merged = fits[-1]
+    for fit, threshold in zip(fits[-2::-1], THRESHOLDS[-2::-1], strict=True):
+        sure = fit[1] >= threshold
+        position, confidence, width = (
+            np.where(sure, fine, doubled(coarse, fine.shape)) for fine, coarse in zip(fit, merged, strict=True)
+        )
+        merged = position, confidence, width
+    return cv2.medianBlur(merged[0], 5), merged[1], merged[2]
+
+
+def doubled(coarse: Array, shape: tuple[int, ...]) -> Array:
+    """Enlarge by two to ``shape``."""
+    fine = np.empty(shape, np.float32)
+    widen(coarse, fine)
+    return fine
+
+
+def gather(planes: Iterable[Array], image: RangeImage, sigma: float) -> Array:
+    """Compose the picture in focus everywhere: planes near the surface, weighted exp(-distance²/2σ²).
+
+    Parameters
+    ----------
+    planes : iterable of arrays
+        All planes again, in order.
+    image : RangeImage
+        Where the surface is.
+    sigma : float
+        Depth over which planes are averaged, in the unit of ``image.z``; 0 takes the nearest plane alone.
+
+    Returns
+    -------
+    array
+        Like a plane.
+    """
+    flat_range, nearest = image.range_.reshape(-1), image.plane.reshape(-1)
+    weight = np.zeros(flat_range.size, np.float32)
+    weighted = np.empty((0, 0), np.float32)
+    for k, plane in enumerate(planes):
+        pixels = plane.reshape(flat_range.size, -1)
+        if not k:
+            weighted = np.zeros(pixels.shape, np.float32)
+            shape, dtype = plane.shape, plane.dtype
+        blend(pixels, flat_range, nearest, k, image.z[k], sigma, weighted, weight)
+    composed: Array = np.rint(weighted / weight[:, None]).astype(dtype).reshape(shape)
+    return composed
+
+
+def focus_stack(
+    planes: Sequence[Array],
+    *,
+    z_um: Array | None = None,
+    method: Method = "brightfield",
+    progress: Callable[[float], None] | None = None,
+) -> FocusResult:
+    """Make the extended focus and the range image of a whole stack.
+
+    Parameters
+    ----------
+    planes : sequence of arrays (height, width[, 3]) uint8 or uint16
+        Read one at a time, each of them twice.
+    z_um : array (planes,), optional
+        Position of every plane in µm; the range is in planes counted from 0 when left out.
+    method : {"brightfield", "confocal"}
+        As in `FocusSweep`.
+    progress : callable, optional
+        Is told the share of the work done, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        No planes, planes of different size, or positions that make no sense.
+    """
+    plane_positions(z_um, len(planes))
+    sweep = FocusSweep(planes[0].shape[:2], method=method)
+    for plane in told(planes, progress, 0.0):
+        sweep.add(plane)
+    image = sweep.finish(z_um)
+    return compose(told(planes, progress, 0.5), image, method=method, unit="plane" if z_um is None else "um")
+
+
+def compose(planes: Iterable[Array], image: RangeImage, *, method: Method, unit: Literal["um", "plane"]) -> FocusResult:
+    """Gather the extended focus for a finished range image and sum up what was found."""
+    sigma = gather_sigma(image) if method == "brightfield" else 0.0
+    return FocusResult(
+        extended_focus=gather(planes, image, sigma),
+        range=image.range_,
+        confidence=image.confidence,
+        plane=image.plane,
+        unit=unit,
+        noise=image.noise,
+        share_confident=float(np.mean(image.confidence >= CONFIDENT)),
+        parameters={
+            "method": method,
+            "thresholds": THRESHOLDS,
+            "confident": CONFIDENT,
+            "gather_sigma": sigma,
+            "focus_curve_width": curve_width(image),
+            "planes": image.z.size,
+        },
+    )
+
+
+def curve_width(image: RangeImage) -> float:
+    """Typical width of the focus curve where it is known with confidence, 0 when it is nowhere."""
+    sure = (image.confidence >= CONFIDENT) & (image.width > 0)
+    return float(np.median(image.width[sure])) if sure.any() else 0.0
+
+
+def gather_sigma(image: RangeImage) -> float:
+    """Depth to average over: the part of the focus curve in which planes are equally sharp."""
+    return GATHER_SHARE * curve_width(image)
+
+
+def told(planes: Sequence[Array], progress: Callable[[float], None] | None, start: float) -> Iterator[Array]:
+    """Yield the planes and tell the progress from ``start`` through one half of the work."""
+    for k in range(len(planes)):
+        yield planes[k]
+        if progress:
+            progress(start + 0.5 * (k + 1) / len(planes))
+
+
+def plane_positions(z_um: Array | None, count: int) -> NDArray[np.float64]:
+    """Return the position of every plane, checked; plane numbers when ``z_um`` is None."""
+    if not count:
+        raise InputError("There is no plane to measure.", fix="give a stack of at least one plane.", code="stack-empty")
+    if z_um is None:
+        return np.arange(count, dtype=np.float64)
+    z = np.asarray(z_um, np.float64)
+    if z.shape != (count,):
+        raise InputError(f"{z.size} z positions for {count} planes.", fix="give one position for each plane.")
+    steps = np.diff(z)
+    if not np.isfinite(z).all() or not ((steps > 0).all() or (steps < 0).all()):
+        raise InputError(
+            "The z positions are not a strictly rising or falling sequence of numbers.",
+            fix="sort the planes by z, and leave out --step-um or the metadata that is wrong.",
+            code="stack-z",
+        )
+    return z
+
+
+def check_plane(plane: Array, shape: tuple[int, int]) -> None:
+    """Raise `InputError` unless ``plane`` is a grey or colour image of ``shape``, uint8 or uint16."""
+    if plane.shape[:2] != shape or plane.ndim > 3 or plane.shape[2:] not in {(), (1,), (3,)}:
+        raise InputError(
+            f"A plane is {plane.shape}, the stack {shape[0]}×{shape[1]} pixels.",
+            fix="give planes of one size, grey or RGB.",
+            code="stack-shape",
+        )
+    if plane.dtype not in (np.uint8, np.uint16):
+        raise InputError(f"A plane is {plane.dtype}.", fix="give 8 or 16 bit unsigned planes.", code="stack-dtype")
+
+
+def plane_noise(plane: Array) -> float:
+    """Estimate the camera's noise (rms, grey levels) in one plane; texture makes it an upper bound.
+
+    Mean absolute response of the mask [1 -2 1]⊗[1 -2 1] (Immerkær 1996, Comput. Vis. Image Underst. 64:300).
+    """
+    if min(plane.shape[:2]) < 3:
+        return 0.0
+    above, row, below = (plane[i : plane.shape[0] - 2 + i : NOISE_ROWS].astype(np.float32) for i in range(3))
+    down = above - 2 * row + below
+    both = down[:, :-2] - 2 * down[:, 1:-1] + down[:, 2:]
+    return float(np.sqrt(np.pi / 2) / 6 * np.abs(both).mean())

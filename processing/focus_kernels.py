@@ -1,0 +1,240 @@
+"""Compiled loops of the focus measurement: gradient energy, running peak, sub-plane fit, merge and gather.
+
+They are table-driven, single-threaded and cached on disk; `processing.focus` gives them meaning and names.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, cast
+
+import numba
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import TypeVar
+
+    Function = TypeVar("Function", bound=Callable[..., Any])
+    Array = np.ndarray[Any, Any]
+
+SAMPLES = 5  # sharpness kept around the peak of a pixel: two planes before it, itself, two after
+CENTRE = SAMPLES // 2
+SOBEL_GAIN = 8.0
+
+
+def compiled(function: Function) -> Function:
+    """Compile to machine code on first call and keep it on disk."""
+    return cast("Function", numba.njit(cache=True, nogil=True)(function))
+
+
+@compiled
+def row_gradient(above: Array, row: Array, below: Array, step: int, smooth: Array, change: Array) -> None:
+    """Smooth and differentiate across three rows; ``smooth`` and ``change`` carry ``step`` replicated ends."""
+    n = row.size
+    for j in range(n):
+        up, down = np.float32(above[j]), np.float32(below[j])
+        middle = np.float32(row[j])
+        smooth[j + step] = up + middle + middle + down
+        change[j + step] = down - up
+    for j in range(step):
+        smooth[j], change[j] = smooth[j + step], change[j + step]
+        smooth[n + step + j], change[n + step + j] = smooth[n + j], change[n + j]
+
+
+@compiled
+def add_squares(smooth: Array, change: Array, step: int, energy: Array) -> None:
+    """Add the squared Sobel gradient of one row to ``energy``."""
+    for j in range(smooth.size - 2 * step):
+        middle = change[j + step]
+        across = smooth[j + 2 * step] - smooth[j]
+        along = change[j] + middle + middle + change[j + 2 * step]
+        energy[j] += across * across + along * along
+
+
+@compiled
+def gradient_energy(plane: Array, bands: int, out: Array) -> None:
+    """Mean squared gradient of 2×2 pixels, all bands together, at half resolution.
+
+    Parameters
+    ----------
+    plane : array (height, width * bands) uint8 or uint16
+        A plane with its bands interleaved.
+    out : array ((height + 1) // 2, (width + 1) // 2) float32
+        Energy in (grey levels per pixel)².
+    """
+    height, n = plane.shape
+    smooth = np.empty(n + 2 * bands, np.float32)
+    change = np.empty(n + 2 * bands, np.float32)
+    energy = np.empty(2 * bands * out.shape[1], np.float32)
+    scale = np.float32(1 / (SOBEL_GAIN * SOBEL_GAIN * 4 * bands))
+    for i in range(out.shape[0]):
+        energy[:] = 0
+        for r in (2 * i, min(2 * i + 1, height - 1)):
+            row_gradient(plane[max(r - 1, 0)], plane[r], plane[min(r + 1, height - 1)], bands, smooth, change)
+            add_squares(smooth, change, bands, energy)
+        for j in range(n, energy.size):
+            energy[j] = energy[j - bands]
+        for j in range(out.shape[1]):
+            total = np.float32(0)
+            for b in range(2 * bands):
+                total += energy[2 * bands * j + b]
+            out[i, j] = total * scale
+
+
+@compiled
+def halve(fine: Array, out: Array) -> None:
+    """Mean of 2×2 pixels; a last odd row or column counts twice."""
+    height, width = fine.shape
+    quarter = np.float32(0.25)
+    for i in range(out.shape[0]):
+        top, bottom = fine[2 * i], fine[min(2 * i + 1, height - 1)]
+        for j in range(out.shape[1]):
+            right = min(2 * j + 1, width - 1)
+            out[i, j] = (top[2 * j] + top[right] + bottom[2 * j] + bottom[right]) * quarter
+
+
+@compiled
+def track_peak(value: Array, before: Array, earlier: Array, k: int, plane: Array, samples: Array, total: Array) -> None:
+    """Take plane ``k`` into the running peak; all arrays are flat, ``samples`` is (5, pixels).
+
+    A sample of 0 stands for "no such plane".
+    """
+    for i in range(value.size):
+        now = value[i]
+        total[i] += now
+        if now > samples[CENTRE, i] or k == 0:
+            plane[i] = k
+            samples[0, i], samples[1, i], samples[2, i] = earlier[i], before[i], now
+            samples[3, i], samples[4, i] = 0, 0
+        elif k == plane[i] + 1:
+            samples[3, i] = now
+        elif k == plane[i] + 2:
+            samples[4, i] = now
+
+
+@compiled
+def vertex(offset: Array, value: Array) -> tuple[float, float]:
+    """Vertex and curvature of the weighted parabola y = -1/√value over ``offset``, weights value².
+
+    The tails of a focus curve fall like 1/(1 + (d/w)²)², for which this is exact and gives curvature -1/w²; squared
+    weights (Guo 2011, IEEE Signal Process. Mag. 28:134) leave the tails of a coarsely sampled curve without a say.
+
+    Parameters
+    ----------
+    offset, value : array (5,) float64
+        Distance from the peak plane, and sharpness relative to it; a value of 0 is missing.
+    """
+    m0 = m1 = m2 = m3 = m4 = b0 = b1 = b2 = 0.0
+    known = 0
+    for i in range(SAMPLES):
+        if value[i] <= 0:
+            continue
+        known += 1
+        x = offset[i]
+        w = value[i] * value[i]
+        y = -w / np.sqrt(value[i])
+        m0 += w
+        m1 += w * x
+        m2 += w * x * x
+        m3 += w * x * x * x
+        m4 += w * x * x * x * x
+        b0 += y
+        b1 += y * x
+        b2 += y * x * x
+    if known < 3:
+        return 0.0, 0.0
+    c00, c01, c02 = m2 * m4 - m3 * m3, m2 * m3 - m1 * m4, m1 * m3 - m2 * m2
+    c11, c12, c22 = m0 * m4 - m2 * m2, m1 * m2 - m0 * m3, m0 * m2 - m1 * m1
+    slope = b0 * c01 + b1 * c11 + b2 * c12
+    bend = b0 * c02 + b1 * c12 + b2 * c22
+    determinant = m0 * c00 + m1 * c01 + m2 * c02
+    if bend >= 0 or determinant <= 0:
+        return 0.0, 0.0
+    return -slope / (2 * bend), bend / determinant
+
+
+@compiled
+def fit_peaks(
+    samples: Array, total: Array, plane: Array, z: Array, position: Array, confidence: Array, width: Array
+) -> None:
+    """Sub-plane position, confidence (max - mean) / mean and half-value width of every pixel, in units of ``z``.
+
+    Positions stay between the two neighbours of the peak plane; the width is 0 where the curve has none.
+    """
+    count = z.size
+    offset = np.zeros(SAMPLES)
+    value = np.zeros(SAMPLES)
+    for i in range(total.size):
+        k = plane[i]
+        peak = float(samples[CENTRE, i])
+        position[i], confidence[i], width[i] = z[k], 0, 0
+        if peak <= 0:
+            continue
+        confidence[i] = peak * count / total[i] - 1
+        for s in range(SAMPLES):
+            at = k + s - CENTRE
+            known = 0 <= at < count
+            offset[s] = z[at] - z[k] if known else 0.0
+            value[s] = samples[s, i] / peak if known else 0.0
+        shift, bend = vertex(offset, value)
+        low, high = z[max(k - 1, 0)] - z[k], z[min(k + 1, count - 1)] - z[k]
+        position[i] = z[k] + min(max(shift, min(low, high)), max(low, high))
+        if bend < 0:
+            width[i] = HALF_VALUE / np.sqrt(-bend)
+
+
+HALF_VALUE = 2 * np.sqrt(np.sqrt(2.0) - 1)  # full width at half value of 1/(1 + x²)²
+
+
+@compiled
+def widen(coarse: Array, fine: Array) -> None:
+    """Bilinear enlargement by two, bin centres kept where they are."""
+    height, width = coarse.shape
+    near, far = np.float32(0.75), np.float32(0.25)
+    for i in range(fine.shape[0]):
+        a = i // 2
+        b = min(max(a + (i % 2) * 2 - 1, 0), height - 1)
+        for j in range(fine.shape[1]):
+            c = j // 2
+            d = min(max(c + (j % 2) * 2 - 1, 0), width - 1)
+            fine[i, j] = near * (near * coarse[a, c] + far * coarse[a, d]) + far * (
+                near * coarse[b, c] + far * coarse[b, d]
+            )
+
+
+@compiled
+def nearest_plane(position: Array, z: Array, plane: Array) -> None:
+    """Index of the plane of ``z`` (monotone) nearest to every position; flat arrays."""
+    for i in range(position.size):
+        low, high = 0, z.size - 1
+        while high - low > 1:
+            middle = (low + high) // 2
+            if (z[middle] <= position[i]) == (z[0] <= z[z.size - 1]):
+                low = middle
+            else:
+                high = middle
+        plane[i] = low if abs(z[low] - position[i]) <= abs(z[high] - position[i]) else high
+
+
+@compiled
+def blend(
+    pixels: Array, position: Array, plane: Array, k: int, z: float, sigma: float, weighted: Array, weight: Array
+) -> None:
+    """Add plane ``k`` at ``z`` to the weighted sum where the surface is near; the nearest plane always counts.
+
+    Parameters
+    ----------
+    pixels : array (pixels, bands)
+    position, plane : array (pixels,)
+        Where the surface is, and the number of the plane nearest to it.
+    weighted, weight : array (pixels, bands) and (pixels,) float32
+    """
+    reach = 2.5 * sigma
+    for i in range(position.size):
+        distance = abs(position[i] - z)
+        if distance > reach and plane[i] != k:
+            continue
+        w = np.float32(np.exp(-0.5 * (distance / sigma) ** 2)) if distance <= reach and sigma > 0 else np.float32(1)
+        weight[i] += w
+        for b in range(pixels.shape[1]):
+            weighted[i, b] += w * np.float32(pixels[i, b])
