@@ -111,18 +111,16 @@ class StackPlan:
         text = json.dumps(self.canonical(), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
-    @staticmethod
-    def of_range(first_um: float, last_um: float, step_um: float, exposure_ms: float, **rest: int | None) -> StackPlan:
-        """Plan the planes from ``first_um`` towards ``last_um``, ``step_um`` apart, not past ``last_um``.
 
-        The last plane may lie up to one step short of ``last_um``; planes are never squeezed.
-        """
-        span_nm, step_nm = to_nm(last_um) - to_nm(first_um), abs(to_nm(step_um))
-        if step_nm == 0:
-            raise PlanError(f"step {step_um:g} µm is less than 0.001 µm.", fix="give a larger step.")
-        signed_nm = step_nm if span_nm >= 0 else -step_nm
-        count = abs(span_nm) // step_nm + 1
-        return StackPlan(to_nm(first_um), signed_nm, count, exposure_ms, **rest)  # type: ignore[arg-type]
+def steps_in_range(first_um: float, last_um: float, step_um: float) -> tuple[int, int]:
+    """Return the signed step in nm and the number of planes from ``first_um`` towards ``last_um``, not past it.
+
+    The last plane may lie up to one step short of ``last_um``; planes are never squeezed.
+    """
+    span_nm, step_nm = to_nm(last_um) - to_nm(first_um), abs(to_nm(step_um))
+    if step_nm == 0:
+        raise PlanError(f"step {step_um:g} µm is less than 0.001 µm.", fix="give a larger step.")
+    return (step_nm if span_nm >= 0 else -step_nm), abs(span_nm) // step_nm + 1
 
 
 @dataclass(frozen=True)

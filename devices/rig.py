@@ -13,7 +13,7 @@ from devices.toml_model import Table, load_model
 from devices.values import Limits
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from devices.protocols import Camera, Clock, Stage
@@ -191,15 +191,15 @@ class RigSpec(Table):
         return None if self.camera.pixel_um is None else self.camera.pixel_um / self.optics.magnification
 
 
-def load_rig(path: Path) -> RigSpec:
-    """Read an instrument file.
+def load_rig(path: Path, overrides: Sequence[str] = ()) -> RigSpec:
+    """Read an instrument file; ``overrides`` as in `devices.toml_model.load_model`.
 
     Raises
     ------
     RigError
         With every problem of the file, each with its line.
     """
-    spec = load_model(path, RigSpec, RigError)
+    spec = load_model(path, RigSpec, RigError, overrides=overrides)
     if spec.camera.driver != "folder" or spec.camera.source is None:
         return spec
     source = str(path.absolute().parent / spec.camera.source)

@@ -1,0 +1,294 @@
+"""The command ``stereotome run``."""
+
+from __future__ import annotations
+
+import json
+import queue
+import signal
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from acquire.bench import simulated_bench, simulated_rig
+from acquire.engine import FINAL, RunState
+from acquire.progress import progress
+from acquire.recipe import Recipe, load_recipe, plan_stack
+from acquire.session import Outcome, Session, check_disk, cost_of, problems, run_folder
+from acquire.store import RunEnd, is_run, open_run
+from devices.clock import SystemClock
+from devices.errors import InputError, PlanError, StereotomeError
+from devices.rig import load_rig, open_rig
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from acquire.plan import Estimate, StackPlan
+    from devices.rig import RigSpec
+
+ENDED_EARLY, STOPPED = 9, 7
+RIG_TABLES = ("camera", "optics", "stage", "sim")
+
+
+def run(
+    recipe: Path,
+    *,
+    instrument: Annotated[Path | None, Parameter(name=["--instrument", "-i"])] = None,
+    sim: Annotated[bool, Parameter(negative="")] = False,
+    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    out: Path | None = None,
+    dry_run: Annotated[bool, Parameter(negative="")] = False,
+    yes: Annotated[bool, Parameter(name=["--yes", "-y"], negative="")] = False,
+    json_: Annotated[bool, Parameter(name="--json", negative="")] = False,
+) -> int:
+    """Take a stack as a recipe says, or say with --dry-run what would be taken or what a run folder lacks.
+
+    Parameters
+    ----------
+    recipe
+        The recipe file; with --dry-run also the folder of an earlier run.
+    instrument
+        The instrument file.
+    sim
+        Take the simulated bench in place of the hardware.
+    set_
+        Replace a value of the recipe or the instrument: --set stack.step=0.5
+    out
+        Folder of the run; must not exist. Without it the recipe's output.folder.
+    dry_run
+        List what would be done, and all problems at once; nothing moves.
+    yes
+        Start without asking.
+    json_
+        Write one JSON object a line to standard output.
+    """
+    if recipe.is_dir():
+        return _describe(recipe, dry_run=dry_run, as_json=json_)
+    loaded = load_recipe(recipe, tuple(o for o in set_ if not o.startswith(RIG_TABLES)))
+    tell = _json_line if json_ else _nothing
+    with ExitStack() as stack:
+        spec = _instrument(stack, instrument, [o for o in set_ if o.startswith(RIG_TABLES)], sim=sim)
+        if dry_run:
+            return _dry_run(loaded, spec, out, tell)
+        folder = _ready(loaded, spec, out)
+        clock = SystemClock()
+        rig = stack.enter_context(open_rig(spec, clock=clock))
+        _review(loaded, spec, folder, ask=not yes)
+        events: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        session = Session(loaded, rig, folder, clock, events.put)
+        outcome = _execute(session, events, tell, quiet=json_)
+    return _report(outcome, tell)
+
+
+def _instrument(stack: ExitStack, path: Path | None, overrides: Sequence[str], *, sim: bool) -> RigSpec:
+    if not sim:
+        if path is None:
+            raise PlanError("no instrument is given.", fix=("name its file: -i RIG.toml", "work without one: --sim"))
+        return load_rig(path, overrides)
+    spec = None if path is None else load_rig(path, overrides)
+    scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="stereotome-bench-")))
+    bench = stack.enter_context(simulated_bench(path, scratch))
+    return simulated_rig(bench, spec, overrides)
+
+
+def _ready(recipe: Recipe, spec: RigSpec, out: Path | None) -> Path:
+    """Check everything that can be known before a port is opened, and say all that is wrong in one go."""
+    now = datetime.now(UTC).astimezone()
+
+    def enough_disk() -> None:
+        cost = cost_of(plan_stack(recipe.stack, spec), spec, None)
+        check_disk(run_folder(recipe, spec, out, now), cost, recipe.output.keep_free_gb)
+
+    found = problems(
+        [
+            lambda: plan_stack(recipe.stack, spec),
+            lambda: run_folder(recipe, spec, out, now),
+            enough_disk,
+        ]
+    )
+    unique = {error.message(): error for error in found}
+    if unique:
+        _raise_all(list(unique.values()))
+    return run_folder(recipe, spec, out, now)
+
+
+def _raise_all(found: list[StereotomeError]) -> None:
+    for error in found[:-1]:
+        sys.stderr.write(error.message() + "\n")
+    raise found[-1]
+
+
+def _review(recipe: Recipe, spec: RigSpec, folder: Path, *, ask: bool) -> None:
+    plan = plan_stack(recipe.stack, spec)
+    sys.stderr.write(f"{recipe.name}: {_summary(plan, cost_of(plan, spec, None))}\n  into {folder}\n")
+    if ask and sys.stdin.isatty():
+        sys.stderr.write("Start? [Y/n] ")
+        sys.stderr.flush()
+        if sys.stdin.readline().strip().lower() not in {"", "y", "yes"}:
+            raise InputError("not started.", why="The review was answered with no.", code="not-started")
+
+
+def _summary(plan: StackPlan, cost: Estimate) -> str:
+    first, *_, last = [plane.z_um for plane in plan] * 2
+    disk = f"{cost.bytes_on_disk / 1e6:.0f} MB at most" if cost.bytes_on_disk else "size known once the camera answers"
+    return (
+        f"{plan.count} planes from {first:+.3f} to {last:+.3f} µm, step {plan.step_nm / 1000:g} µm, "
+        f"{plan.exposure_ms:g} ms each, about {cost.seconds:.0f} s, {disk}"
+    )
+
+
+def _dry_run(recipe: Recipe, spec: RigSpec, out: Path | None, tell: Callable[[dict[str, Any]], None]) -> int:
+    folder = _ready(recipe, spec, out)
+    plan = plan_stack(recipe.stack, spec)
+    cost = cost_of(plan, spec, None)
+    each_s = cost.seconds / plan.count
+    for plane in plan:
+        moves_um = [target_nm / 1000 for target_nm in plan.moves_nm(plane)]
+        event = {"event": "plan", "plane": plane.index, "z_um": plane.z_um, "moves_um": moves_um}
+        tell({**event, "at_s": round(plane.index * each_s, 2)})
+        if tell is _nothing:
+            route = " then ".join(f"{z_um:+.3f}" for z_um in moves_um)
+            sys.stdout.write(f"plane {plane.index:4d}  at {plane.index * each_s:7.1f} s  move to {route} µm, expose\n")
+    sys.stderr.write(f"{recipe.name}: {_summary(plan, cost)}\n  would go into {folder}; nothing was moved\n")
+    return 0
+
+
+@contextmanager
+def _operator_signals(session: Session) -> Iterator[list[int]]:
+    """Ctrl-C and SIGTERM end the run after the current plane; a second one stops all motion at once."""
+    received: list[int] = []
+
+    def on_signal(signum: int, _frame: object) -> None:
+        received.append(signum)
+        if len(received) == 1:
+            sys.stderr.write("\nending after this plane; once more stops all motion now\n")
+            session.run.cancel()
+        else:
+            session.run.stop()
+
+    before = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _execute(
+    session: Session,
+    events: queue.SimpleQueue[dict[str, Any]],
+    tell: Callable[[dict[str, Any]], None],
+    *,
+    quiet: bool,
+) -> Outcome:
+    with (
+        _operator_signals(session),
+        ThreadPoolExecutor(1, "run") as engine,
+        progress("planes", session.plan.count, quiet=quiet) as show,
+    ):
+        result = engine.submit(session.execute)
+        while not result.done() or not events.empty():
+            try:
+                event = events.get(timeout=0.1)
+            except queue.Empty:
+                continue
+            tell(event)
+            if event["event"] == "plane":
+                show(event["plane"] + 1)
+        return result.result()
+
+
+def _report(outcome: Outcome, tell: Callable[[dict[str, Any]], None]) -> int:
+    for warning in outcome.warnings:
+        sys.stderr.write(f"warning: {warning}\n")
+    assert outcome.state in FINAL
+    stored = open_run(outcome.folder)
+    missing = stored.missing
+    tell({"event": "done", "state": str(outcome.state), "folder": str(outcome.folder), "missing": missing})
+    if tell is _nothing:
+        sys.stdout.write(f"{outcome.folder}\n")
+    if outcome.error is not None:
+        sys.stderr.write(outcome.error.message() + "\n")
+    sys.stderr.write(f"{outcome.state}: {_kept(outcome.durable, outcome.planned, missing)}\n")
+    return _exit_code(outcome)
+
+
+def _kept(durable: int, planned: int, missing: list[int]) -> str:
+    words = f"{durable} of {planned} planes are durable and verified"
+    return f"{words}; missing: {ranges(missing)}" if missing else words
+
+
+def _exit_code(outcome: Outcome) -> int:
+    match outcome.state:
+        case RunState.COMPLETED:
+            return 0
+        case RunState.COMPLETED_WITH_GAPS:
+            return ENDED_EARLY
+        case RunState.CANCELLED:
+            return STOPPED if outcome.durable else 130
+        case _:
+            return _failure_code(outcome)
+
+
+def _failure_code(outcome: Outcome) -> int:
+    """Return 6 for a full disk whatever was kept, 9 for any other failure once there is data to keep."""
+    code = 1 if outcome.error is None else outcome.error.exit_code
+    return ENDED_EARLY if outcome.durable and code != 6 else code
+
+
+def ranges(numbers: Sequence[int]) -> str:
+    """Return sorted whole numbers in words: ``0-2, 7``."""
+    parts: list[list[int]] = []
+    for number in numbers:
+        if parts and number == parts[-1][-1] + 1:
+            parts[-1][1:] = [number]
+        else:
+            parts.append([number])
+    return ", ".join("-".join(map(str, part)) for part in parts)
+
+
+def _describe(folder: Path, *, dry_run: bool, as_json: bool) -> int:
+    """Say what a run folder holds and what it lacks."""
+    if not is_run(folder):
+        raise InputError(f"{folder} is not a run folder.", why="It has no run.json and journal.jsonl.", code="no-run")
+    if not dry_run:
+        raise InputError(
+            f"{folder} is a run; continuing one is not possible yet.",
+            fix=(f"see what it lacks: stereotome run --dry-run {folder}", "take the stack again in a new folder"),
+            code="no-resume",
+        )
+    stored = open_run(folder)
+    if stored.state is not RunEnd.RUNNING:
+        stored.publish()
+    durable, planned = len(stored.planes), stored.layout.planned
+    if as_json:
+        _json_line(
+            {
+                "event": "plan",
+                "folder": str(folder),
+                "state": str(stored.state),
+                "planned": planned,
+                "durable": durable,
+                "missing": stored.missing,
+                "missed": {str(plane): reason for plane, reason in stored.missed.items()},
+            }
+        )
+    else:
+        sys.stdout.write(f"{stored.state}: {_kept(durable, planned, stored.missing)}\n")
+        for plane, reason in sorted(stored.missed.items()):
+            sys.stdout.write(f"  plane {plane} could not be taken: {reason}\n")
+    return 0
+
+
+def _json_line(event: dict[str, Any]) -> None:
+    sys.stdout.write(json.dumps(event, ensure_ascii=False) + "\n")
+    sys.stdout.flush()
+
+
+def _nothing(_: dict[str, Any]) -> None:
+    """Tell nobody."""

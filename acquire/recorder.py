@@ -1,0 +1,127 @@
+"""From the camera to the disk: frames go through the ring, one writer thread makes them durable."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING
+
+from acquire.ring import RingReader, RingWriter, WriterGone
+from acquire.store import free_bytes
+from devices.errors import StereotomeError, StoreError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from acquire.frame import FrameHeader, Missed
+    from acquire.store import RunEnd, RunStore
+    from devices.protocols import Clock
+
+GROUP = 8  # planes committed together when frames come faster than the disk can confirm them one by one
+IDLE_S = 0.05
+RING_BYTES = 256 * 1024**2
+SAFE_SO_FAR = "Planes taken so far are safe; no further plane is exposed."
+MIN_SLOTS, MAX_SLOTS = 4, 32
+
+
+def ring_slots(frame_bytes: int, free_shm_bytes: int) -> int:
+    """Return how many frames the ring holds: enough for the worst stall of a disk, within half of the free memory."""
+    room = min(RING_BYTES, free_shm_bytes // 2)
+    return max(MIN_SLOTS, min(MAX_SLOTS, room // frame_bytes))
+
+
+class Recorder:
+    """The engine's way to the disk.
+
+    `put` copies a frame into the ring and returns; the writer thread, a lossless reader of the ring, stores it. An
+    error of the disk is kept and raised at the next `put` or `check`, so that no further plane is exposed.
+    """
+
+    def __init__(self, store: RunStore, ring: RingWriter, clock: Clock, *, keep_free_bytes: int = 0) -> None:
+        self._store = store
+        self._ring = ring
+        self._keep_free_bytes = keep_free_bytes
+        self._reader = RingReader.attach(ring.path, "lossless", clock=clock)
+        self._error: StereotomeError | None = None
+        self._thread = threading.Thread(target=self._drain, name="writer", daemon=True)
+        self._thread.start()
+
+    @property
+    def durable(self) -> int:
+        """Planes on disk, verified and in the journal."""
+        return self._store.durable
+
+    def check(self) -> None:
+        """Raise `StoreError` if the disk failed or is about to be full; called before each exposure."""
+        if self._error is not None:
+            raise self._error
+        if free_bytes(self._store.folder) < self._keep_free_bytes:
+            raise disk_full(f"less than the reserve of {self._keep_free_bytes / 1e9:.1f} GB is free on the disk.")
+
+    def put(self, pixels: np.ndarray, header: FrameHeader) -> None:
+        """Hand over one frame; raises `StoreError` when the disk failed or cannot keep up."""
+        self.check()
+        self._ring.push(pixels, header)
+
+    def missed(self, missed: Missed) -> None:
+        """Record that a plane stays empty, and why."""
+        event = {"e": "missed", "section": missed.section, "plane": missed.plane, "reason": missed.reason}
+        self._store.journal.append(event)
+
+    def finish(self, end: RunEnd, reason: str = "") -> RunEnd:
+        """Wait until every frame is on disk, write the last record and return how the run really ended."""
+        self._ring.close()
+        self._thread.join()
+        self._reader.close()
+        try:
+            if self._error is not None:
+                raise self._error
+            return self._store.finalise(end, reason)
+        except (OSError, ValueError) as error:
+            raise disk_failed(error) from error
+        finally:
+            self._store.close()
+
+    def _drain(self) -> None:
+        try:
+            while self._store_next():
+                pass
+            self._store.commit()
+        except StereotomeError as error:
+            self._error = error
+        except (OSError, ValueError) as error:  # tensorstore wraps what the disk says in ValueError
+            self._error = disk_failed(error)
+
+    def _store_next(self) -> bool:
+        try:
+            frame = self._reader.read(IDLE_S)
+        except WriterGone:
+            return False
+        if frame is not None:
+            self._store.put(frame)
+            self._reader.release()
+        if not self._reader.unread or self._store.pending >= GROUP:
+            self._store.commit()
+        return True
+
+
+def disk_full(what: str, why: str = SAFE_SO_FAR) -> StoreError:
+    """Return the error of a full disk."""
+    return StoreError(
+        f"data: {what}",
+        why=why,
+        fix=("free some space", "choose another folder: --out DIR"),
+        code="disk-full",
+    )
+
+
+def disk_failed(error: Exception) -> StoreError:
+    """Return the error of a disk that refused a write."""
+    text = " ".join(str(error).split())
+    if "No space left" in text or "RESOURCE_EXHAUSTED" in text:
+        return disk_full("the disk is full.")
+    return StoreError(
+        f"data: the disk refused a write: {text}",
+        why="Planes committed before are safe; no further plane is exposed.",
+        fix="check the disk, then repeat the run in another folder: --out DIR",
+        code="disk-failed",
+    )

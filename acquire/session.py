@@ -1,0 +1,213 @@
+"""One run from recipe to folder: checks everything first, then joins instrument, ring, store, observers and engine."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from acquire.engine import Policy, Run, RunState
+from acquire.observe import Observer
+from acquire.ome_zarr import FocalArray
+from acquire.plan import Estimate, estimate
+from acquire.recipe import pace_of, plan_stack
+from acquire.recorder import Recorder, disk_full, ring_slots
+from acquire.ring import RingWriter, shared_memory_folder
+from acquire.ring_janitor import sweep_stale
+from acquire.store import RunStore, free_bytes
+from devices.errors import InputError, PlanError, StereotomeError
+from devices.values import to_um
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from acquire.plan import StackPlan
+    from acquire.recipe import Recipe
+    from devices.protocols import Clock
+    from devices.rig import Rig, RigSpec
+    from devices.values import CameraCaps
+
+DISK_MARGIN = 1.05
+OBSERVER_START_S = 30.0
+OBSERVER_END_S = 300.0
+OBSERVER_RESULTS = "focus"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a session ended: the engine's last state, its error, where the data is, and what observers said."""
+
+    state: RunState
+    error: StereotomeError | None
+    folder: Path
+    durable: int
+    planned: int
+    warnings: tuple[str, ...]
+
+
+def run_folder(recipe: Recipe, spec: RigSpec, out: Path | None, now: datetime) -> Path:
+    """Return the folder of a new run: ``out``, or the recipe's template filled in; never one that exists.
+
+    Raises
+    ------
+    InputError
+        ``out`` exists already.
+    PlanError
+        The template has a name in braces that is not known.
+    """
+    if out is not None:
+        if out.exists():
+            raise InputError(
+                f"{out} exists already. Nothing was started.",
+                why="A run never writes into a folder that holds something.",
+                fix="choose another folder: --out DIR",
+                code="output-exists",
+            )
+        return out
+    return next(folder for folder in _candidates(recipe, spec, now) if not folder.exists())
+
+
+def _candidates(recipe: Recipe, spec: RigSpec, now: datetime) -> Iterator[Path]:
+    template = recipe.output.folder
+    fields = {
+        "date": f"{now:%Y-%m-%d}",
+        "time": f"{now:%H%M%S}",
+        "name": recipe.name,
+        "operator": recipe.operator,
+        "instrument": spec.name,
+    }
+    for run in range(1, 1_000_000):
+        try:
+            filled = template.format(run=run, **fields)
+        except (KeyError, ValueError, IndexError):
+            raise PlanError(
+                f"output.folder = {template!r} cannot be filled in.",
+                fix="use only {date} {time} {name} {run} {operator} {instrument}; {run} may have a format such as :03d",
+            ) from None
+        yield Path(filled) if "{run" in template or run == 1 else Path(f"{filled}-{run}")
+
+
+def needed_bytes(plan_bytes: int, keep_free_gb: float) -> int:
+    """Return the free bytes a run asks for before it starts."""
+    return round(plan_bytes * DISK_MARGIN + keep_free_gb * 1e9)
+
+
+def check_disk(folder: Path, cost: Estimate, keep_free_gb: float) -> None:
+    """Raise `StoreError` unless the disk holds the whole run and its reserve."""
+    free = free_bytes(folder.absolute())
+    if free < needed_bytes(cost.bytes_on_disk, keep_free_gb):
+        raise disk_full(
+            f"the run needs {cost.bytes_on_disk * DISK_MARGIN / 1e9:.1f} GB plus {keep_free_gb:.1f} GB reserve; "
+            f"{free / 1e9:.1f} GB is free.",
+            why="Nothing was started.",
+        )
+
+
+def problems(checks: list[Callable[[], object]]) -> list[StereotomeError]:
+    """Run every check and return all that failed, so that a user mends them in one go."""
+    found = []
+    for check in checks:
+        try:
+            check()
+        except StereotomeError as error:
+            found.append(error)
+    return found
+
+
+def cost_of(plan: StackPlan, spec: RigSpec, caps: CameraCaps | None) -> Estimate:
+    """Return what a plan costs; without a connected camera the frame size of the instrument file is taken."""
+    if caps is not None:
+        return estimate(plan, caps.frame_bytes, pace_of(spec))
+    width, height = spec.camera.size_px or (0, 0)
+    return estimate(plan, width * height * (1 if spec.camera.bit_depth == 8 else 2), pace_of(spec))
+
+
+class Session:
+    """A run ready to start. `run` is the engine to pause or cancel; `execute` does everything and returns."""
+
+    def __init__(
+        self, recipe: Recipe, rig: Rig, folder: Path, clock: Clock, tell: Callable[[dict[str, Any]], None]
+    ) -> None:
+        self.folder = folder
+        self.plan = plan_stack(recipe.stack, rig.spec)
+        caps = rig.camera.caps()
+        self.cost = cost_of(self.plan, rig.spec, caps)
+        self._tell = tell
+        self._clock = clock
+        self._recipe = recipe
+        check_disk(folder, self.cost, recipe.output.keep_free_gb)
+        sweep_stale(shared_memory_folder())
+        with ExitStack() as undo:
+            slots = ring_slots(caps.frame_bytes, free_bytes(shared_memory_folder()))
+            ring = RingWriter.create("run", caps.shape, caps.dtype, slots, clock=clock)
+            undo.callback(ring.close)
+            manifest = _manifest(recipe, rig.spec, self.plan, caps)
+            store = RunStore(folder, manifest, _layout(self.plan, recipe, rig.spec, caps), clock)
+            undo.callback(store.close)
+            keep_free = round(recipe.output.keep_free_gb * 1e9)
+            recorder = Recorder(store, ring, clock, keep_free_bytes=keep_free)
+            undo.pop_all()
+        self._observers = _start_observers(recipe, ring.path, folder)
+        self.run = Run(
+            self.plan,
+            rig.stage,
+            rig.camera,
+            recorder,
+            clock,
+            policy=Policy(gap_on_error=recipe.stack.on_plane_error == "gap"),
+            utc_ns=time.time_ns,
+            tell=tell,
+        )
+
+    def execute(self) -> Outcome:
+        """Take the stack, wait for the observers, and return how it ended."""
+        warnings = [
+            f"{observer.name} is late: it will catch up from the disk."
+            for observer in self._observers
+            if not observer.wait_until_ready(OBSERVER_START_S)
+        ]
+        self._tell({"event": "start", "folder": str(self.folder), "planned": self.plan.count})
+        state = self.run.execute()
+        warnings += [said for observer in self._observers if (said := observer.finish(OBSERVER_END_S))]
+        status = self.run.status
+        return Outcome(state, self.run.error, self.folder, status.durable, status.planned, tuple(warnings))
+
+
+def _start_observers(recipe: Recipe, ring: Path, folder: Path) -> list[Observer]:
+    process = recipe.process
+    if not process.wanted:
+        return []
+    options: dict[str, Any] = {"method": process.method}
+    if process.stereo_pair is not None:
+        options["angle_deg"] = process.stereo_pair.angle_deg
+    name = "focus" if process.stereo_pair is None else "stereo"
+    return [Observer(name, ring, folder, folder / OBSERVER_RESULTS, options)]
+
+
+def _layout(plan: StackPlan, recipe: Recipe, spec: RigSpec, caps: CameraCaps) -> FocalArray:
+    return FocalArray(
+        planned=plan.count,
+        shape=caps.shape,
+        dtype=caps.dtype,
+        start_um=to_um(plan.start_nm),
+        step_um=to_um(plan.step_nm),
+        pixel_um=spec.object_pixel_um,
+        compression=recipe.output.compression,
+    )
+
+
+def _manifest(recipe: Recipe, spec: RigSpec, plan: StackPlan, caps: CameraCaps) -> dict[str, Any]:
+    return {
+        "name": recipe.name,
+        "created_utc": datetime.now(UTC).isoformat(),
+        "software": f"stereotome {version('stereotome')}",
+        "plan_id": plan.plan_id,
+        "plan": plan.canonical(),
+        "camera": {"name": caps.name, "bit_depth": caps.bit_depth, "timed": caps.timed},
+        "recipe": recipe.model_dump(mode="json", by_alias=True),
+        "instrument": spec.model_dump(mode="json", by_alias=True),
+    }
