@@ -69,9 +69,19 @@ class LinkError(DeviceError):
 
 
 class NoReply(LinkError):
-    """Silence: the deadline passed with nothing, or only part of a reply, received."""
+    """Silence: the deadline passed with nothing, or only part of a reply, received.
+
+    Attributes
+    ----------
+    received : bytes
+        The part that came, if any.
+    """
 
     code = "device-silent"
+
+    def __init__(self, what: str, *, received: bytes = b"", why: str = "", fix: str | tuple[str, ...] = ()) -> None:
+        super().__init__(what, why=why, fix=fix)
+        self.received = received
 
 
 class MalformedReply(LinkError):

@@ -26,6 +26,27 @@ class Clock(Protocol):
         ...
 
 
+class Transport(Protocol):
+    """A way for bytes to a device and back. Raises `devices.errors.LinkLost` when the way itself is gone."""
+
+    @property
+    def name(self) -> str:
+        """What a person calls it: the port, the address."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``."""
+        ...
+
+    def read(self, wait_s: float) -> bytes:
+        """Return what has arrived; waits at most ``wait_s``, perhaps less, for the first byte, and may return none."""
+        ...
+
+    def close(self) -> None:
+        """Release the port."""
+        ...
+
+
 @runtime_checkable
 class Stage(Protocol):
     """A focus axis. It reports where it is, not where it was told to go."""
