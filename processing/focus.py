@@ -24,11 +24,14 @@ from processing.focus_kernels import (
     track_peak,
     widen,
 )
+from processing.registration import SMALLEST_SIDE, RegisteredPlanes, placements, typical_step
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
+
+    from processing.registration import Planes
 
     Array = NDArray[Any]
     Fit = tuple[Array, Array, Array]
@@ -39,6 +42,7 @@ Method = Literal["brightfield", "confocal"]
 # window whose confidence reaches its threshold; the widest one always has a say.
 THRESHOLDS = (2.5, 1.2, 0.8, 0.0)
 CONFIDENT = 0.8
+REGISTER_FROM_PX = 1.0
 GATHER_SHARE = 0.17  # standard deviation of the averaging in depth, as a share of the focus curve's width
 BINOMIAL = np.array([1, 4, 6, 4, 1], np.float32) / 16
 SMALLEST_STACK = 3  # with fewer planes there is no peak to speak of
@@ -289,6 +293,7 @@ def focus_stack(
     *,
     z_um: Array | None = None,
     method: Method = "brightfield",
+    register: bool | Literal["auto"] = "auto",
     progress: Callable[[float], None] | None = None,
 ) -> FocusResult:
     """Make the extended focus and the range image of a whole stack.
@@ -301,6 +306,9 @@ def focus_stack(
         Position of every plane in µm; the range is in planes counted from 0 when left out.
     method : {"brightfield", "confocal"}
         As in `FocusSweep`.
+    register : bool or "auto"
+        Match the planes by translation and scale first. ``"auto"`` does it for brightfield stacks that move by a pixel
+        or more from plane to plane throughout; ``parameters["registration"]`` says what was done.
     progress : callable, optional
         Is told the share of the work done, 0 to 1.
 
@@ -310,11 +318,50 @@ def focus_stack(
         No planes, planes of different size, or positions that make no sense.
     """
     plane_positions(z_um, len(planes))
-    sweep = FocusSweep(planes[0].shape[:2], method=method)
-    for plane in told(planes, progress, 0.0):
+    shape = planes[0].shape[:2]
+    checked = CheckedPlanes(planes, shape)
+    placed, registration = registered(checked, wanted=register if method == "brightfield" else register is True)
+    sweep = FocusSweep(shape, method=method)
+    for plane in told(placed, progress, 0.0):
         sweep.add(plane)
     image = sweep.finish(z_um)
-    return compose(told(planes, progress, 0.5), image, method=method, unit="plane" if z_um is None else "um")
+    result = compose(told(placed, progress, 0.5), image, method=method, unit="plane" if z_um is None else "um")
+    result.parameters["registration"] = registration
+    return result
+
+
+class CheckedPlanes:
+    """Planes of a sequence, each refused with a clear error when it is read and does not fit the others."""
+
+    def __init__(self, planes: Sequence[Array], shape: tuple[int, int]) -> None:
+        self._planes, self._shape = planes, shape
+
+    def __len__(self) -> int:
+        return len(self._planes)
+
+    def __getitem__(self, k: int) -> Array:
+        plane = self._planes[k]
+        check_plane(plane, self._shape)
+        return plane
+
+
+def registered(planes: Planes, *, wanted: bool | Literal["auto"]) -> tuple[Planes, dict[str, Any]]:
+    """Return the planes, registered if ``wanted`` and needed, and words and numbers on what was done."""
+    if not wanted:
+        return planes, {"applied": False, "why": "not asked for"}
+    if min(planes[0].shape[:2]) < SMALLEST_SIDE:
+        return planes, {"applied": False, "why": f"planes under {SMALLEST_SIDE} pixels show too little to be matched"}
+    step_px = typical_step(planes)
+    if wanted == "auto" and step_px < REGISTER_FROM_PX:
+        why = f"planes move by less than {REGISTER_FROM_PX:g} pixel from one to the next"
+        return planes, {"applied": False, "why": why, "step_px": step_px}
+    reference, places = placements(planes)
+    return RegisteredPlanes(planes, places), {
+        "applied": True,
+        "step_px": step_px,
+        "reference_plane": reference,
+        "scale": [p.scale for p in places],
+    }
 
 
 def compose(planes: Iterable[Array], image: RangeImage, *, method: Method, unit: Literal["um", "plane"]) -> FocusResult:
@@ -350,7 +397,7 @@ def gather_sigma(image: RangeImage) -> float:
     return GATHER_SHARE * curve_width(image)
 
 
-def told(planes: Sequence[Array], progress: Callable[[float], None] | None, start: float) -> Iterator[Array]:
+def told(planes: Planes, progress: Callable[[float], None] | None, start: float) -> Iterator[Array]:
     """Yield the planes and tell the progress from ``start`` through one half of the work."""
     for k in range(len(planes)):
         yield planes[k]
@@ -379,7 +426,7 @@ def plane_positions(z_um: Array | None, count: int) -> NDArray[np.float64]:
 
 def check_plane(plane: Array, shape: tuple[int, int]) -> None:
     """Raise `InputError` unless ``plane`` is a grey or colour image of ``shape``, uint8 or uint16."""
-    if plane.shape[:2] != shape or plane.ndim > 3 or plane.shape[2:] not in {(), (1,), (3,)}:
+    if plane.shape[:2] != shape or plane.ndim > 3 or plane.shape[2:] not in {(), (3,)}:
         raise InputError(
             f"A plane is {plane.shape}, the stack {shape[0]}×{shape[1]} pixels.",
             fix="give planes of one size, grey or RGB.",

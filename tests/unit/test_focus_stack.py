@@ -105,3 +105,13 @@ def test_senseless_positions_are_refused(z):
 def test_unusable_planes_are_refused(planes):
     with pytest.raises(InputError):
         focus_stack(planes)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (5, 5), (31, 40, 3)])
+@pytest.mark.parametrize("register", [True, "auto", False])
+def test_tiny_planes_are_measured_without_registration(shape, register):
+    planes = [np.full(shape, 10 * k, np.uint8) for k in range(4)]
+    result = focus_stack(planes, register=register)
+    assert result.extended_focus.shape == shape
+    assert not result.parameters["registration"]["applied"]
+    assert np.isfinite(result.range).all()
