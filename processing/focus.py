@@ -15,11 +15,13 @@ import numpy as np
 
 from devices.errors import InputError
 from processing.focus_kernels import (
+    BLOCK,
     SAMPLES,
     blend,
     fit_peaks,
     gradient_energy,
     halve,
+    mean_of,
     nearest_plane,
     track_peak,
     widen,
@@ -40,10 +42,10 @@ Method = Literal["brightfield", "confocal"]
 
 # Each window is twice as wide as the one before: about 2, 4, 8 and 16 pixels rms. A pixel is measured in the smallest
 # window whose confidence reaches its threshold; the widest one always has a say.
-THRESHOLDS = (2.5, 1.2, 0.8, 0.0)
+THRESHOLDS = (1.2, 0.7, 0.4, 0.0)
 CONFIDENT = 0.8
 REGISTER_FROM_PX = 1.0
-GATHER_SHARE = 0.17  # standard deviation of the averaging in depth, as a share of the focus curve's width
+GATHER_SHARE = 0.45  # depth over which planes are averaged, to either side, as a share of the focus curve's width
 BINOMIAL = np.array([1, 4, 6, 4, 1], np.float32) / 16
 SMALLEST_STACK = 3  # with fewer planes there is no peak to speak of
 NOISE_ROWS = 32  # every 32nd row is enough to estimate the camera's noise
@@ -258,8 +260,8 @@ def doubled(coarse: Array, shape: tuple[int, ...]) -> Array:
     return fine
 
 
-def gather(planes: Iterable[Array], image: RangeImage, sigma: float) -> Array:
-    """Compose the picture in focus everywhere: planes near the surface, weighted exp(-distance²/2σ²).
+def gather(planes: Iterable[Array], image: RangeImage, reach: float) -> Array:
+    """Compose the picture in focus everywhere: the mean of the planes near the surface.
 
     Parameters
     ----------
@@ -267,25 +269,34 @@ def gather(planes: Iterable[Array], image: RangeImage, sigma: float) -> Array:
         All planes again, in order.
     image : RangeImage
         Where the surface is.
-    sigma : float
-        Depth over which planes are averaged, in the unit of ``image.z``; 0 takes the nearest plane alone.
+    reach : float
+        Distance in the unit of ``image.z`` at which a plane has no more weight, (1 - (distance / reach)²)² before;
+        0 takes the nearest plane alone.
 
     Returns
     -------
     array
         Like a plane.
     """
-    flat_range, nearest = image.range_.reshape(-1), image.plane.reshape(-1)
-    weight = np.zeros(flat_range.size, np.float32)
-    weighted = np.empty((0, 0), np.float32)
+    position, nearest = image.range_.reshape(-1), image.plane.reshape(-1)
+    bounds = block_bounds(position, image.z, reach)
+    sums = out = np.empty((0, 0), np.float32)
     for k, plane in enumerate(planes):
-        pixels = plane.reshape(flat_range.size, -1)
+        pixels = plane.reshape(position.size, -1)
         if not k:
-            weighted = np.zeros(pixels.shape, np.float32)
-            shape, dtype = plane.shape, plane.dtype
-        blend(pixels, flat_range, nearest, k, image.z[k], sigma, weighted, weight)
-    composed: Array = np.rint(weighted / weight[:, None]).astype(dtype).reshape(shape)
-    return composed
+            sums = np.zeros((pixels.shape[0], pixels.shape[1] + 1), np.float32)
+            out = np.empty_like(plane)
+        blend(pixels, position, nearest, bounds, k, image.z[k], reach, sums)
+    mean_of(sums, out.reshape(position.size, -1))
+    return out
+
+
+def block_bounds(position: Array, z: NDArray[np.float64], reach: float) -> Array:
+    """Lowest and highest z that matter to every block of pixels, (2, blocks)."""
+    starts = np.arange(0, position.size, BLOCK)
+    widest_gap = float(np.abs(np.diff(z)).max()) if z.size > 1 else 0.0
+    margin = max(reach, widest_gap)
+    return np.stack([np.minimum.reduceat(position, starts) - margin, np.maximum.reduceat(position, starts) + margin])
 
 
 def focus_stack(
@@ -366,9 +377,9 @@ def registered(planes: Planes, *, wanted: bool | Literal["auto"]) -> tuple[Plane
 
 def compose(planes: Iterable[Array], image: RangeImage, *, method: Method, unit: Literal["um", "plane"]) -> FocusResult:
     """Gather the extended focus for a finished range image and sum up what was found."""
-    sigma = gather_sigma(image) if method == "brightfield" else 0.0
+    reach = GATHER_SHARE * curve_width(image) if method == "brightfield" else 0.0
     return FocusResult(
-        extended_focus=gather(planes, image, sigma),
+        extended_focus=gather(planes, image, reach),
         range=image.range_,
         confidence=image.confidence,
         plane=image.plane,
@@ -379,7 +390,7 @@ def compose(planes: Iterable[Array], image: RangeImage, *, method: Method, unit:
             "method": method,
             "thresholds": THRESHOLDS,
             "confident": CONFIDENT,
-            "gather_sigma": sigma,
+            "gather_reach": reach,
             "focus_curve_width": curve_width(image),
             "planes": image.z.size,
         },
@@ -390,11 +401,6 @@ def curve_width(image: RangeImage) -> float:
     """Typical width of the focus curve where it is known with confidence, 0 when it is nowhere."""
     sure = (image.confidence >= CONFIDENT) & (image.width > 0)
     return float(np.median(image.width[sure])) if sure.any() else 0.0
-
-
-def gather_sigma(image: RangeImage) -> float:
-    """Depth to average over: the part of the focus curve in which planes are equally sharp."""
-    return GATHER_SHARE * curve_width(image)
 
 
 def told(planes: Planes, progress: Callable[[float], None] | None, start: float) -> Iterator[Array]:

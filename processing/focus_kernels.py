@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 SAMPLES = 5  # sharpness kept around the peak of a pixel: two planes before it, itself, two after
 CENTRE = SAMPLES // 2
+BLOCK = 64  # pixels gathered or skipped together
 SOBEL_GAIN = 8.0
 
 
@@ -218,23 +219,42 @@ def nearest_plane(position: Array, z: Array, plane: Array) -> None:
 
 @compiled
 def blend(
-    pixels: Array, position: Array, plane: Array, k: int, z: float, sigma: float, weighted: Array, weight: Array
+    pixels: Array, position: Array, plane: Array, bounds: Array, k: int, z: float, reach: float, sums: Array
 ) -> None:
-    """Add plane ``k`` at ``z`` to the weighted sum where the surface is near; the nearest plane always counts.
+    """Add plane ``k`` at ``z`` to the weighted sums where the surface is nearer than ``reach``.
+
+    The weight is (1 - (distance / reach)²)²; where no plane is that near, the nearest one counts alone.
 
     Parameters
     ----------
     pixels : array (pixels, bands)
     position, plane : array (pixels,)
         Where the surface is, and the number of the plane nearest to it.
-    weighted, weight : array (pixels, bands) and (pixels,) float32
+    bounds : array (2, blocks)
+        Between which z a block of `BLOCK` pixels takes from planes; spares looking at the others.
+    sums : array (pixels, bands + 1) float32
+        Weighted sum of every band, and the sum of the weights.
     """
-    reach = 2.5 * sigma
-    for i in range(position.size):
-        distance = abs(position[i] - z)
-        if distance > reach and plane[i] != k:
+    bands = pixels.shape[1]
+    for block in range(bounds.shape[1]):
+        if z < bounds[0, block] or z > bounds[1, block]:
             continue
-        w = np.float32(np.exp(-0.5 * (distance / sigma) ** 2)) if distance <= reach and sigma > 0 else np.float32(1)
-        weight[i] += w
-        for b in range(pixels.shape[1]):
-            weighted[i, b] += w * np.float32(pixels[i, b])
+        for i in range(block * BLOCK, min((block + 1) * BLOCK, position.size)):
+            distance = abs(position[i] - z)
+            if distance >= reach and plane[i] != k:
+                continue
+            ratio = distance / reach if distance < reach else 0.0
+            w = np.float32((1 - ratio * ratio) * (1 - ratio * ratio))
+            for b in range(bands):
+                sums[i, b] += w * np.float32(pixels[i, b])
+            sums[i, bands] += w
+
+
+@compiled
+def mean_of(sums: Array, out: Array) -> None:
+    """Divide the weighted sums by their weights and round to the type of ``out``, (pixels, bands)."""
+    bands = out.shape[1]
+    for i in range(out.shape[0]):
+        scale = np.float32(1) / sums[i, bands]
+        for b in range(bands):
+            out[i, b] = int(sums[i, b] * scale + np.float32(0.5))

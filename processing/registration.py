@@ -183,7 +183,8 @@ def typical_step(planes: Planes) -> float:
     starts = sorted({round(k) for k in np.linspace(0, count - 1, min(PROBES, count))})
     found = [pair_placement(planes[k], planes[k + 1]) for k in starts]
     scale, dx, dy = (float(x) for x in np.median([(p.scale, p.dx, p.dy) for p in found], axis=0))
-    return Placement(scale, dx, dy).corner_shift() * max(planes[0].shape[:2])
+    side: int = max(planes[0].shape[:2])
+    return Placement(scale, dx, dy).corner_shift() * side
 
 
 def pair_placement(first: Array, second: Array) -> Placement:
