@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.clock import SystemClock
 from devices.errors import MalformedReply, NoReply, Refused
 from devices.link import Link
 from devices.transport.loopback import Loopback

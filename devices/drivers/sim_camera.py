@@ -1,0 +1,186 @@
+"""The camera of the simulated bench: triggers over TCP, pixels over a file in shared memory."""
+
+from __future__ import annotations
+
+import mmap
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from devices.errors import CameraTimeout, DeviceBusy, DeviceError, LimitError, MalformedReply, RigError
+from devices.transport.json_lines import JsonLines
+from devices.values import CameraCaps, FrameStamp
+
+if TYPE_CHECKING:
+    from devices.protocols import Clock, FrameSink
+    from devices.registry import DeviceContext
+    from devices.rig import CameraSpec
+
+ANSWER_S = 5.0
+SHORTEST_FRAME_TIMEOUT_S = 1.0
+EXPOSURES_PER_TIMEOUT = 5
+
+
+class SimCamera:
+    """A triggered camera; each trigger hands its frame to the sink before it returns.
+
+    Parameters
+    ----------
+    wire : JsonLines
+        To the bench.
+    clock : Clock
+        Time.
+
+    Raises
+    ------
+    DeviceBusy
+        Somebody else uses the bench's camera.
+    """
+
+    def __init__(self, wire: JsonLines, clock: Clock) -> None:
+        self._wire = wire
+        self._clock = clock
+        self._asked = 0
+        self._sink: FrameSink | None = None
+        self._frames_left: int | None = None
+        self._timeout_s = SHORTEST_FRAME_TIMEOUT_S
+        answer = self._ask("caps", ANSWER_S)
+        try:
+            self._caps = _caps(answer["caps"])
+            self._slots = _slots(answer["frames"], self._caps)
+        except (KeyError, TypeError, ValueError, OSError) as cause:
+            raise _no_camera(f"{type(cause).__name__}: {cause}", answer) from cause
+
+    def caps(self) -> CameraCaps:
+        """Return what frames look like."""
+        return self._caps
+
+    def configure(self, *, exposure_ms: float) -> None:
+        """Set the exposure; raises `LimitError` with the bench's words when it refuses."""
+        try:
+            self._ask("configure", ANSWER_S, exposure_ms=exposure_ms)
+        except _NotDone as refusal:
+            raise LimitError(f"camera: exposure of {exposure_ms:g} ms refused: {refusal.what}") from refusal
+        self._timeout_s = max(SHORTEST_FRAME_TIMEOUT_S, EXPOSURES_PER_TIMEOUT * exposure_ms / 1000)
+
+    def arm(self, frames: int | None, sink: FrameSink) -> None:
+        """Get ready for a number of frames."""
+        self._sink, self._frames_left = sink, frames
+
+    def trigger(self) -> None:
+        """Expose now, wait for the frame and hand it to the sink.
+
+        Raises
+        ------
+        CameraTimeout
+            No frame within five exposures, or 1 s when that is longer.
+        LinkLost
+            The bench ended.
+        """
+        if self._sink is None or self._frames_left == 0:
+            raise DeviceError("camera: triggered without being armed for another frame.")
+        answer = self._ask("trigger", self._timeout_s)
+        arrival_ns = int(self._clock.now() * 1e9)
+        try:
+            pixels = self._slots[answer["slot"]]
+            times = answer["exposure_start_ns"], answer["exposure_end_ns"]
+            stamp = FrameStamp(arrival_ns, answer["hw_id"], *map(int, times))
+        except (KeyError, TypeError, ValueError, IndexError) as cause:
+            raise _no_camera(f"{type(cause).__name__}: {cause}", answer) from cause
+        self._frames_left = None if self._frames_left is None else self._frames_left - 1
+        self._sink(pixels, stamp)
+
+    def stop(self, timeout_s: float) -> None:  # noqa: ARG002  nothing is under way between triggers
+        """End the delivery."""
+        self._sink = None
+
+    def close(self) -> None:
+        """Leave the bench."""
+        self._sink = None
+        self._wire.close()
+
+    def _ask(self, do: str, timeout_s: float, **values: float) -> dict[str, Any]:
+        """Ask and return the answer; answers to older questions, given up on, are passed over."""
+        self._asked += 1
+        self._wire.send({"id": self._asked, "do": do, **values})
+        deadline = self._clock.now() + timeout_s
+        while (left_s := deadline - self._clock.now()) > 0:
+            answer = self._wire.receive(left_s)
+            if answer is not None and answer.get("id", self._asked) == self._asked:
+                return _done(answer)
+        raise CameraTimeout(
+            f"camera: no answer to '{do}' within {timeout_s:g} s.",
+            fix="see whether the bench still runs; a long exposure gets five times its length.",
+        )
+
+
+def open_camera(table: CameraSpec, context: DeviceContext) -> SimCamera:
+    """Connect to the bench named by ``address``.
+
+    Raises
+    ------
+    RigError
+        There is no address.
+    DeviceError
+        device-missing, device-busy.
+    """
+    if table.address is None:
+        raise RigError(
+            "camera: the driver 'sim' needs the address of a running bench.",
+            fix=("start one: stereotome sim serve, and use the instrument file it writes", "add --sim to the run"),
+        )
+    wire = JsonLines(table.address, device="camera")
+    try:
+        return SimCamera(wire, context.clock)
+    except BaseException:
+        wire.close()
+        raise
+
+
+class _NotDone(DeviceError):
+    """The bench answered that it did not do it."""
+
+
+def _done(answer: dict[str, Any]) -> dict[str, Any]:
+    if answer.get("ok") is True:
+        return answer
+    error = str(answer.get("error", answer))
+    if error == "busy":
+        raise DeviceBusy(
+            "camera: another program uses the camera of this bench.",
+            fix="end the other program, or start a bench of your own: stereotome sim serve",
+        )
+    raise _NotDone(f"camera: {error}")
+
+
+def _caps(said: dict[str, Any]) -> CameraCaps:
+    caps = CameraCaps(
+        name=str(said["name"]),
+        height=int(said["height"]),
+        width=int(said["width"]),
+        bands=int(said["bands"]),
+        dtype=str(np.dtype(said["dtype"])),
+        bit_depth=int(said["bit_depth"]),
+        timed=True,
+    )
+    if caps.dtype not in ("uint8", "uint16") or caps.bands not in (1, 3) or min(caps.shape) < 1:
+        raise ValueError(f"frames of {caps.shape} {caps.dtype}")
+    return caps
+
+
+def _slots(said: dict[str, Any], caps: CameraCaps) -> list[np.ndarray]:
+    """Return a read-only view of each slot of the bench's frame file."""
+    with Path(said["path"]).open("rb") as file:
+        memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    offsets = [int(said["offset_bytes"]) + slot * int(said["stride_bytes"]) for slot in range(int(said["slots"]))]
+    return [np.ndarray(caps.shape, caps.dtype, buffer=memory, offset=offset) for offset in offsets]
+
+
+def _no_camera(why: str, answer: dict[str, Any]) -> MalformedReply:
+    return MalformedReply(
+        "camera: the bench's answer makes no sense.",
+        reply=str(answer).encode(),
+        why=why,
+        fix="use a bench of the same version of this program.",
+    )
