@@ -7,7 +7,7 @@ everywhere. `focus_stack` does both for a whole stack and gives the same bits as
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import cv2
@@ -16,16 +16,13 @@ import numpy as np
 from devices.errors import InputError
 from processing.focus_kernels import (
     BLOCK,
-    SAMPLES,
     blend,
-    fit_peaks,
     gradient_energy,
     halve,
     mean_of,
     nearest_plane,
-    track_peak,
-    widen,
 )
+from processing.focus_windows import HALO, NOISE_ENERGY, WINDOWS, PeakTrack, doubled, half_shape, merge
 from processing.registration import SMALLEST_SIDE, RegisteredPlanes, placements, typical_step
 
 if TYPE_CHECKING:
@@ -36,13 +33,9 @@ if TYPE_CHECKING:
     from processing.registration import Planes
 
     Array = NDArray[Any]
-    Fit = tuple[Array, Array, Array]
 
 Method = Literal["brightfield", "confocal"]
 
-# Each window is twice as wide as the one before: about 2, 4, 8 and 16 pixels rms. A pixel is measured in the smallest
-# window whose confidence reaches its threshold; the widest one always has a say.
-THRESHOLDS = (1.2, 0.7, 0.4, 0.0)
 CONFIDENT = 0.8
 REGISTER_FROM_PX = 1.0
 GATHER_SHARE = 0.45  # depth over which planes are averaged, to either side, as a share of the focus curve's width
@@ -113,44 +106,6 @@ class FocusResult:
     parameters: dict[str, Any]
 
 
-class PeakTrack:
-    """Running peak through the planes for every pixel of one window: the peak, two samples on either side, the sum."""
-
-    def __init__(self, shape: tuple[int, int], dtype: type[Any]) -> None:
-        self._shape = shape
-        size = shape[0] * shape[1]
-        self._samples = np.zeros((SAMPLES, size), dtype)
-        self._recent = [np.zeros(size, dtype) for _ in range(2)]
-        self._plane = np.zeros(size, np.uint16)
-        self._total = np.zeros(size, np.float32)
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes held between planes."""
-        arrays = (self._samples, self._plane, self._total, *self._recent)
-        return sum(a.nbytes for a in arrays)
-
-    def add(self, value: Array, k: int) -> None:
-        """Take the values of plane ``k``."""
-        flat = value.reshape(-1)
-        before, earlier = self._recent
-        track_peak(flat, before, earlier, k, self._plane, self._samples, self._total)
-        earlier[:] = flat
-        self._recent = [earlier, before]
-
-    def fit(self, z: NDArray[np.float64]) -> Fit:
-        """Return position, confidence and width of the peaks, each of the window's shape, float32."""
-        position, confidence, width = (np.empty(self._shape, np.float32) for _ in range(3))
-        flat = (a.reshape(-1) for a in (position, confidence, width))
-        fit_peaks(self._samples, self._total, self._plane, z, *flat)
-        return position, confidence, width
-
-
-def half_shape(shape: tuple[int, int]) -> tuple[int, int]:
-    """Shape at half resolution, odd sizes rounded up."""
-    return (shape[0] + 1) // 2, (shape[1] + 1) // 2
-
-
 class FocusSweep:
     """Measures focus plane by plane; keeps a state of fixed size and none of the planes.
 
@@ -205,7 +160,7 @@ class FocusSweep:
 
     def _make_windows(self) -> None:
         shape = self.shape
-        for _ in THRESHOLDS:
+        for _ in WINDOWS:
             shape = half_shape(shape)
             self._windows.append(PeakTrack(shape, np.float32))
             self._energy.append(np.empty(shape, np.float32))
@@ -230,34 +185,16 @@ class FocusSweep:
         z = plane_positions(z_um, self.count)
         fits = [window.fit(z) for window in self._windows]
         if self.method == "confocal":
-            position, confidence, width = fits[0]
+            position, confidence, width, _ = fits[0]
         else:
-            position, confidence, width = (doubled(a, self.shape) for a in merge(fits))
+            merged = merge(fits, NOISE_ENERGY * self.noise**2)
+            position, confidence, width = (doubled(a, self.shape) for a in merged[:3])
         plane = np.empty(self.shape, np.uint16)
         nearest_plane(position.reshape(-1), z, plane.reshape(-1))
         if self.count < SMALLEST_STACK:
             position, confidence, width = z[plane].astype(np.float32), np.zeros_like(confidence), np.zeros_like(width)
         edge = (plane == 0) | (plane == self.count - 1)
         return RangeImage(position, confidence, plane, width, edge, self.noise, z)
-
-
-def merge(fits: list[Fit]) -> Fit:
-    """Take every pixel from the smallest window that is sure of it, then remove single outliers."""
-    merged = fits[-1]
-    for fit, threshold in zip(fits[-2::-1], THRESHOLDS[-2::-1], strict=True):
-        sure = fit[1] >= threshold
-        position, confidence, width = (
-            np.where(sure, fine, doubled(coarse, fine.shape)) for fine, coarse in zip(fit, merged, strict=True)
-        )
-        merged = position, confidence, width
-    return cv2.medianBlur(merged[0], 5), merged[1], merged[2]
-
-
-def doubled(coarse: Array, shape: tuple[int, ...]) -> Array:
-    """Enlarge by two to ``shape``."""
-    fine = np.empty(shape, np.float32)
-    widen(coarse, fine)
-    return fine
 
 
 def gather(planes: Iterable[Array], image: RangeImage, reach: float) -> Array:
@@ -377,7 +314,7 @@ def registered(planes: Planes, *, wanted: bool | Literal["auto"]) -> tuple[Plane
 
 def compose(planes: Iterable[Array], image: RangeImage, *, method: Method, unit: Literal["um", "plane"]) -> FocusResult:
     """Gather the extended focus for a finished range image and sum up what was found."""
-    reach = GATHER_SHARE * curve_width(image) if method == "brightfield" else 0.0
+    reach = gather_reach(image) if method == "brightfield" else 0.0
     return FocusResult(
         extended_focus=gather(planes, image, reach),
         range=image.range_,
@@ -388,7 +325,8 @@ def compose(planes: Iterable[Array], image: RangeImage, *, method: Method, unit:
         share_confident=float(np.mean(image.confidence >= CONFIDENT)),
         parameters={
             "method": method,
-            "thresholds": THRESHOLDS,
+            "windows": [asdict(window) for window in WINDOWS],
+            "halo": HALO,
             "confident": CONFIDENT,
             "gather_reach": reach,
             "focus_curve_width": curve_width(image),
@@ -401,6 +339,13 @@ def curve_width(image: RangeImage) -> float:
     """Typical width of the focus curve where it is known with confidence, 0 when it is nowhere."""
     sure = (image.confidence >= CONFIDENT) & (image.width > 0)
     return float(np.median(image.width[sure])) if sure.any() else 0.0
+
+
+def gather_reach(image: RangeImage) -> float:
+    """Depth over which planes are equally sharp; 0 where they are too far apart for any averaging but a softening."""
+    spacing = float(np.median(np.abs(np.diff(image.z)))) if image.z.size > 1 else 0.0
+    reach = GATHER_SHARE * curve_width(image)
+    return reach if reach >= spacing else 0.0
 
 
 def told(planes: Planes, progress: Callable[[float], None] | None, start: float) -> Iterator[Array]:

@@ -156,9 +156,9 @@ def vertex(offset: Array, value: Array) -> tuple[float, float]:
 
 @compiled
 def fit_peaks(
-    samples: Array, total: Array, plane: Array, z: Array, position: Array, confidence: Array, width: Array
+    samples: Array, total: Array, plane: Array, z: Array, position: Array, confidence: Array, width: Array, top: Array
 ) -> None:
-    """Sub-plane position, confidence (max - mean) / mean and half-value width of every pixel, in units of ``z``.
+    """Sub-plane position, confidence (max - mean) / mean, half-value width and maximum of every pixel.
 
     Positions stay between the two neighbours of the peak plane; the width is 0 where the curve has none.
     """
@@ -168,7 +168,7 @@ def fit_peaks(
     for i in range(total.size):
         k = plane[i]
         peak = float(samples[CENTRE, i])
-        position[i], confidence[i], width[i] = z[k], 0, 0
+        position[i], confidence[i], width[i], top[i] = z[k], 0, 0, peak
         if peak <= 0:
             continue
         confidence[i] = peak * count / total[i] - 1

@@ -1,0 +1,114 @@
+"""Peaks of sharpness in windows of several sizes, and the choice between them.
+
+A small window keeps the relief and the edges, a wide one still sees the peak where the texture is faint. Every pixel is
+measured in the smallest window whose peak stands out of the camera's noise and is not the blur of a stronger neighbour.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from processing.focus_kernels import SAMPLES, fit_peaks, track_peak, widen
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Window:
+    """What the peak of a window must show before it is believed; the widest window always has a say.
+
+    Attributes
+    ----------
+    significance : float
+        Rise of the peak above the mean, in units of the sharpness that the camera's noise alone makes.
+    contrast : float
+        The same rise in units of the mean without that noise.
+    """
+
+    significance: float
+    contrast: float
+
+
+# Each window is twice as wide as the one before: about 2, 4, 8 and 16 pixels rms.
+WINDOWS = (Window(1.2, 2.0), Window(0.65, 1.2), Window(0.4, 0.8), Window(0.0, 0.0))
+HALO = 0.25  # a peak weaker than this share of its wider window's is the blurred image of a neighbour
+NOISE_ENERGY = 0.375  # mean squared Sobel gradient of white noise of variance 1, both directions
+
+
+class Fit(NamedTuple):
+    """The peaks of one window, arrays of its shape, float32: position, confidence, width of the curve, top value."""
+
+    position: Array
+    confidence: Array
+    width: Array
+    top: Array
+
+
+class PeakTrack:
+    """Running peak through the planes for every pixel of one window: the peak, two samples on either side, the sum."""
+
+    def __init__(self, shape: tuple[int, int], dtype: type[Any]) -> None:
+        self._shape = shape
+        size = shape[0] * shape[1]
+        self._samples = np.zeros((SAMPLES, size), dtype)
+        self._recent = [np.zeros(size, dtype) for _ in range(2)]
+        self._plane = np.zeros(size, np.uint16)
+        self._total = np.zeros(size, np.float32)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes held between planes."""
+        arrays = (self._samples, self._plane, self._total, *self._recent)
+        return sum(a.nbytes for a in arrays)
+
+    def add(self, value: Array, k: int) -> None:
+        """Take the values of plane ``k``."""
+        flat = value.reshape(-1)
+        before, earlier = self._recent
+        track_peak(flat, before, earlier, k, self._plane, self._samples, self._total)
+        earlier[:] = flat
+        self._recent = [earlier, before]
+
+    def fit(self, z: NDArray[np.float64]) -> Fit:
+        """Place the peaks between the planes at ``z``."""
+        fit = Fit(*(np.empty(self._shape, np.float32) for _ in Fit._fields))
+        fit_peaks(self._samples, self._total, self._plane, z, *(a.reshape(-1) for a in fit))
+        return fit
+
+
+def half_shape(shape: tuple[int, int]) -> tuple[int, int]:
+    """Shape at half resolution, odd sizes rounded up."""
+    return (shape[0] + 1) // 2, (shape[1] + 1) // 2
+
+
+def merge(fits: list[Fit], noise_energy: float) -> Fit:
+    """Take every pixel from the smallest window that is to be believed, then remove single outliers."""
+    merged = fits[-1]
+    for fit, window in zip(fits[-2::-1], WINDOWS[-2::-1], strict=True):
+        wider = Fit(*(doubled(a, fit.top.shape) for a in merged))
+        sure = believed(fit, window, noise_energy) & (fit.top >= HALO * wider.top)
+        merged = Fit(*(np.where(sure, fine, coarse) for fine, coarse in zip(fit, wider, strict=True)))
+    return merged._replace(position=cv2.medianBlur(merged.position, 5))
+
+
+def believed(fit: Fit, window: Window, noise_energy: float) -> NDArray[np.bool_]:
+    """Where a window's peak rises enough above the noise, and above the rest of the focus curve."""
+    mean = fit.top / (1 + fit.confidence)
+    rise = fit.top - mean
+    textured = np.maximum(mean - 0.9 * noise_energy, 0.1 * mean)
+    sure: NDArray[np.bool_] = (rise >= window.significance * noise_energy) & (rise >= window.contrast * textured)
+    return sure
+
+
+def doubled(coarse: Array, shape: tuple[int, ...]) -> Array:
+    """Enlarge by two to ``shape``."""
+    fine = np.empty(shape, np.float32)
+    widen(coarse, fine)
+    return fine
