@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING
 
-from acquire.ring import RingReader, RingWriter, WriterGone
+from acquire.ring import RingFull, RingReader, RingWriter, WriterGone
 from acquire.store import free_bytes
 from devices.errors import StereotomeError, StoreError
 
@@ -60,7 +60,12 @@ class Recorder:
     def put(self, pixels: np.ndarray, header: FrameHeader) -> None:
         """Hand over one frame; raises `StoreError` when the disk failed or cannot keep up."""
         self.check()
-        self._ring.push(pixels, header)
+        try:
+            self._ring.push(pixels, header)
+        except RingFull:
+            if self._error is not None:  # the writer gave up while this frame waited for its slot
+                raise self._error from None
+            raise
 
     def missed(self, missed: Missed) -> None:
         """Record that a plane stays empty, and why."""
@@ -71,9 +76,9 @@ class Recorder:
         """Wait until every frame is on disk, write the last record and return how the run really ended."""
         self._ring.close()
         self._thread.join()
-        self._reader.close()
         try:
             if self._error is not None:
+                self._store.abandon(f"{self._error.code}: {self._error}")
                 raise self._error
             return self._store.finalise(end, reason)
         except (OSError, ValueError) as error:
@@ -90,6 +95,8 @@ class Recorder:
             self._error = error
         except (OSError, ValueError) as error:  # tensorstore wraps what the disk says in ValueError
             self._error = disk_failed(error)
+        finally:
+            self._reader.close()
 
     def _store_next(self) -> bool:
         try:

@@ -11,6 +11,7 @@ import json
 import os
 import shutil
 import zlib
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
@@ -162,7 +163,7 @@ class RunStore:
         A run that is said to be COMPLETED while planes are missing is recorded as COMPLETED_WITH_GAPS.
         """
         self.commit()
-        missing = [k for k in range(self._layout.planned) if k not in self._records]
+        missing = self._missing()
         if end is RunEnd.COMPLETED and missing:
             end = RunEnd.COMPLETED_WITH_GAPS
         ordered = [self._records[k] for k in sorted(self._records)]
@@ -170,6 +171,16 @@ class RunStore:
         self._write_plane_table(ordered, missing)
         self.journal.append({"e": "end", "state": str(end), "missing": missing, "reason": reason})
         return end
+
+    def abandon(self, reason: str) -> None:
+        """End a run whose disk failed: nothing pending is trusted, and the END record is written if it can be."""
+        self._pending.clear()
+        with suppress(OSError):
+            missing = self._missing()
+            self.journal.append({"e": "end", "state": str(RunEnd.FAILED), "missing": missing, "reason": reason})
+
+    def _missing(self) -> list[int]:
+        return [k for k in range(self._layout.planned) if k not in self._records]
 
     def _write_plane_table(self, ordered: list[PlaneRecord], missing: list[int]) -> None:
         if len(ordered) > INLINE_PLANES:
