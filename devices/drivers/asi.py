@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from devices.values import Limits
 
 UM_PER_MM = 1000.0
+REPLY_TIMEOUT_S = 0.5
 FAST_BAUD = 57600
 FAST_POLL_S = 0.004
 SLOW_POLL_S = 0.02  # at 9600 baud one question and answer take 15 ms of wire, and an FTDI adapter adds as much
@@ -155,7 +156,8 @@ def open_stage(table: AxisSpec, context: DeviceContext) -> AsiStage:
     transport: Transport = SerialPort(table.port, table.baud, device="z stage")
     if context.transcript is not None:
         transport = Recorder(transport, context.transcript / "stage-z.jsonl", context.clock)
-    stage = AsiStage(Link(transport, context.clock, terminator=asi.TERMINATOR), table, context.clock)
+    link = Link(transport, context.clock, terminator=asi.TERMINATOR, timeout_s=REPLY_TIMEOUT_S)
+    stage = AsiStage(link, table, context.clock)
     try:
         _greet(stage, table)
     except BaseException:

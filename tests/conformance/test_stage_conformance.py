@@ -1,0 +1,119 @@
+"""What every stage must do, asked of every implementation there is."""
+
+from __future__ import annotations
+
+import math
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from small_twin import OnPty, OnTcp, SmallAxis, SteppingClock
+
+from devices.clock import SystemClock
+from devices.drivers.asi import AsiStage, open_stage
+from devices.errors import LimitError, StageStalled, StageTimeout
+from devices.link import Link
+from devices.protocols import Stage
+from devices.registry import DeviceContext
+from devices.rig import AxisSpec
+from devices.transport.loopback import Loopback
+from devices.transport.transcript import Replay
+from devices.wire import asi
+
+TRANSCRIPT = Path(__file__).parent.parent / "transcripts" / "asi_three_planes.jsonl"
+LIMITS = {"min_um": -500.0, "max_um": 500.0}
+
+
+def axis(port: str, **changes: object) -> AxisSpec:
+    return AxisSpec.model_validate({"driver": "asi-ms2000", "port": port, "baud": 115200, "limits": LIMITS, **changes})
+
+
+def over_loopback():
+    clock = SteppingClock()
+    twin = SmallAxis(clock.now)
+    yield AsiStage(Link(Loopback(twin.feed, clock), clock, terminator=asi.TERMINATOR), axis("loopback"), clock)
+
+
+def over_pty():
+    with closing(OnPty(SmallAxis(SystemClock().now).feed)) as far:
+        yield open_stage(axis(far.port), DeviceContext(SystemClock()))
+
+
+@pytest.fixture(params=[over_loopback, over_pty], ids=lambda make: make.__name__)
+def stage(request: pytest.FixtureRequest):
+    opened = request.param()
+    device = next(opened)
+    yield device
+    device.close()
+    assert list(opened) == []
+
+
+def test_it_is_a_stage(stage: Stage):
+    assert isinstance(stage, Stage)
+    assert (stage.limits.min_um, stage.limits.max_um) == (-500, 500)
+
+
+@pytest.mark.parametrize("z_um", [12.3, -7.5, 500.0, -500.0, 0.0])
+def test_it_arrives_where_it_was_sent_and_says_so(stage: Stage, z_um: float):
+    stage.move_to(z_um)
+    assert stage.settle(5.0) == pytest.approx(z_um, abs=0.1)
+    assert stage.position_um() == pytest.approx(z_um, abs=0.1)
+
+
+@pytest.mark.parametrize("z_um", [500.01, -501.0, math.nan, math.inf, -math.inf])
+def test_it_refuses_what_is_outside_its_limits_and_stays(stage: Stage, z_um: float):
+    stage.move_to(100.0)
+    rest_um = stage.settle(5.0)
+    with pytest.raises(LimitError):
+        stage.move_to(z_um)
+    assert stage.settle(5.0) == rest_um
+
+
+def test_without_a_move_it_is_settled_at_once(stage: Stage):
+    assert stage.settle(5.0) == stage.position_um()
+
+
+def test_a_halt_stops_it_short_of_the_target_and_it_can_move_again(stage: Stage):
+    stage.move_to(-500.0)
+    stage.settle(5.0)
+    stage.move_to(500.0)
+    stage.halt()
+    stopped_um = stage.position_um()
+    assert stopped_um < 499
+    with pytest.raises(StageStalled):
+        stage.settle(5.0)
+    assert stage.position_um() == stopped_um
+    stage.move_to(-490.0)
+    assert stage.settle(5.0) == pytest.approx(-490, abs=0.1)
+
+
+def test_a_halt_at_rest_is_fine(stage: Stage):
+    stage.halt()
+    stage.halt()
+    assert stage.position_um() == pytest.approx(0, abs=0.1)
+
+
+def test_it_does_not_wait_beyond_its_deadline(stage: Stage):
+    stage.move_to(500.0)
+    with pytest.raises(StageTimeout):
+        stage.settle(0.01)
+    assert stage.settle(5.0) == pytest.approx(500, abs=0.1)
+
+
+def test_a_network_port_is_a_port():
+    with closing(OnTcp(SmallAxis(SystemClock().now).feed)) as far:
+        stage = open_stage(axis(f"socket://{far.address}"), DeviceContext(SystemClock()))
+        stage.move_to(12.0)
+        assert stage.settle(5.0) == pytest.approx(12, abs=0.1)
+        stage.close()
+
+
+def test_a_recorded_conversation_replays():
+    clock = SteppingClock()
+    stage = AsiStage(Link(Replay(TRANSCRIPT, clock), clock, terminator=asi.TERMINATOR), axis("replay"), clock)
+    positions = [stage.position_um()]
+    for z_um in (0.0, 2.5, 5.0):
+        stage.move_to(z_um)
+        positions.append(stage.settle(5.0))
+    stage.halt()
+    assert positions == [0.0, 0.0, 2.5, 5.0]
