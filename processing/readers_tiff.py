@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import weakref
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 import tifffile
 
@@ -19,8 +21,19 @@ if TYPE_CHECKING:
 
     Array = NDArray[Any]
 
+OWN_CODECS = frozenset(tifffile.COMPRESSION[name] for name in ("NONE", "ADOBE_DEFLATE", "DEFLATE", "LZMA"))
 # what tifffile and its codecs raise on bytes that make no sense
-BROKEN = (tifffile.TiffFileError, OSError, ValueError, TypeError, KeyError, IndexError, RuntimeError, struct.error)
+BROKEN = (
+    tifffile.TiffFileError,
+    OSError,
+    ValueError,
+    TypeError,
+    KeyError,
+    IndexError,
+    RuntimeError,
+    struct.error,
+    cv2.error,
+)
 
 
 def read_tiff(path: Path, choice: Choice) -> Recording:
@@ -104,9 +117,8 @@ class _PlaneReader:
     def __call__(self, k: int) -> Array:
         index, shape = self._layout.index(k), self._series.shape
         lead = len(shape) - len(self._series.keyframe.shape)  # axes that run over pages, the others lie within one
-        page = (
-            int(np.ravel_multi_index([int(i) for i in index[:lead] if isinstance(i, int)], shape[:lead])) if lead else 0
-        )
+        outer = [int(i) for i in index[:lead] if not isinstance(i, slice)]
+        page = int(np.ravel_multi_index(outer, shape[:lead])) if outer else 0
         return self._layout.upright(self._page(page)[index[lead:]])
 
     def _page(self, number: int) -> Array:
@@ -123,9 +135,18 @@ class _PlaneReader:
         page = self._series.pages[number]
         assert page is not None
         try:
-            return page.asarray()
+            return page.asarray() if page.compression in OWN_CODECS else _by_opencv(self.file.filehandle.path, page)
         except BROKEN as error:
             raise damaged(self.file.filehandle.path, f"Image {number}: {error}") from None
+
+
+def _by_opencv(path: str, page: tifffile.TiffPage | tifffile.TiffFrame) -> Array:
+    """Decode a page in a compression that tifffile leaves to a further package: LZW, JPEG, PackBits and others."""
+    pages = cv2.imreadmulti(path, start=page.index, count=1, flags=cv2.IMREAD_UNCHANGED)[1]
+    if not pages or pages[0].size != math.prod(page.shape):
+        raise ValueError(f"its compression ({page.compression!r}) cannot be read")
+    pixels = np.asarray(pages[0])
+    return pixels.reshape(page.shape) if pixels.ndim == 2 else pixels[:, :, [2, 1, 0, 3][: pixels.shape[2]]]
 
 
 def _spacing(file: tifffile.TiffFile, layout: Layout) -> dict[str, Any]:

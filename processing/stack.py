@@ -10,10 +10,14 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
+from acquire.store import is_run
 from devices.errors import InputError
 from processing.readers import Choice, Recording, as_picture
+from processing.readers_array import ARRAYS, is_nifti, read_array, read_nifti
 from processing.readers_folder import is_image, is_tiff, read_files, read_folder
+from processing.readers_run import read_run
 from processing.readers_tiff import read_tiff
+from processing.readers_zarr import is_zarr, read_zarr
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -127,16 +131,33 @@ def open_stack(path: Path | str, *, step_um: float | None = None, channel: int |
 
 def read_any(source: Path, choice: Choice) -> Recording:
     """Find the reader for ``source`` and let it read."""
-    if not source.exists() and any(sign in source.name for sign in "*?["):
-        return read_files([p for p in source.parent.glob(source.name) if is_image(p)], choice, source)
-    if not source.exists():
-        raise InputError(f"there is no {source}.", fix="check the name.", code="input-missing")
     if source.is_dir():
-        return read_folder(source, choice)
+        return _read_folder(source, choice)
+    if source.is_file():
+        return _file_reader(source)(source, choice)
+    matching = [path for path in source.parent.glob(source.name) if is_image(path)]
+    if matching:
+        return read_files(matching, choice, source)
+    raise InputError(f"there is no {source}.", fix="check the name.", code="input-missing")
+
+
+def _read_folder(source: Path, choice: Choice) -> Recording:
+    if is_run(source):
+        return read_run(source, choice)
+    if is_run(source.parent):  # the image within a run: its journal knows more than the image
+        return read_run(source.parent, choice)
+    return read_zarr(source, choice) if is_zarr(source) else read_folder(source, choice)
+
+
+def _file_reader(source: Path) -> Callable[[Path, Choice], Recording]:
     if is_tiff(source):
-        return read_tiff(source, choice)
+        return read_tiff
     if is_image(source):
-        return read_files([source], choice, source)
+        return lambda path, choice: read_files([path], choice, path)
+    if is_nifti(source):
+        return read_nifti
+    if source.suffix.lower() in ARRAYS:
+        return read_array
     raise InputError(
         f"{source} is of no known kind.",
         fix="give a run folder, OME-Zarr, TIFF, a folder of PNG, JPEG or TIFF images, NPY, NPZ or NIfTI.",
