@@ -7,6 +7,7 @@ command is a plain function; it returns its exit code, or None for 0.
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import sys
@@ -39,6 +40,7 @@ USAGE, INTERRUPTED = 2, 130
 def main() -> NoReturn:
     """Run the program with the arguments of the command line and leave with its exit code."""
     signal.signal(signal.SIGTERM, _leave)
+    logging.getLogger().addHandler(logging.NullHandler())  # or Python prints stray warnings of libraries to the user
     sys.exit(run(sys.argv[1:]))
 
 
