@@ -30,19 +30,21 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from processing.focus_windows import Fit
     from processing.registration import Planes
 
     Array = NDArray[Any]
+    Measured = tuple[Array, Array, Array, Array]  # position, confidence, width, plane
 
 Method = Literal["brightfield", "confocal"]
 
 CONFIDENT = 0.8
+PEAK_OF_NOISE = 6.0  # standard deviations that noise reaches above its mean somewhere in a stack, and some more
 REGISTER_FROM_PX = 1.0
 GATHER_SHARE = 0.45  # depth over which planes are averaged, to either side, as a share of the focus curve's width
 BINOMIAL = np.array([1, 4, 6, 4, 1], np.float32) / 16
 SMALLEST_STACK = 3  # with fewer planes there is no peak to speak of
 NOISE_ROWS = 32  # every 32nd row is enough to estimate the camera's noise
-LUMINANCE = cv2.COLOR_RGB2GRAY
 
 
 @dataclass(frozen=True)
@@ -54,9 +56,10 @@ class RangeImage:
     range_ : array float32
         Position of best focus in the unit of ``z``: µm, or planes counted from 0.
     confidence : array float32
-        (max - mean) / mean of the sharpness through the stack; 0 where nothing is known.
+        (max - mean) / mean of the sharpness through the stack, for confocal stacks (max - mean) / (mean + 6 noise) of
+        the brightness; 0 where nothing is known.
     plane : array uint16
-        Plane nearest to the best focus.
+        Plane nearest to the best focus; the brightest plane of a confocal stack.
     width : array float32
         Width of the focus curve at half its height, in the unit of ``z``; 0 where it has none.
     edge : array bool
@@ -124,6 +127,7 @@ class FocusSweep:
         self.noise = np.inf
         self._windows: list[PeakTrack] = []
         self._energy: list[Array] = []
+        self._light_gain = 1
 
     @property
     def state_bytes_per_pixel(self) -> float:
@@ -142,10 +146,10 @@ class FocusSweep:
         self.count += 1
 
     def _add_brightness(self, plane: Array) -> None:
-        grey = plane if plane.ndim == 2 else cv2.cvtColor(plane, LUMINANCE)
+        light, self._light_gain = brightness(plane)
         if not self._windows:
-            self._windows = [PeakTrack(self.shape, grey.dtype.type)]
-        self._windows[0].add(np.ascontiguousarray(grey), self.count)
+            self._windows = [PeakTrack(self.shape, light.dtype.type)]
+        self._windows[0].add(light, self.count)
 
     def _add_sharpness(self, plane: Array) -> None:
         if not self._windows:
@@ -184,17 +188,31 @@ class FocusSweep:
         """
         z = plane_positions(z_um, self.count)
         fits = [window.fit(z) for window in self._windows]
-        if self.method == "confocal":
-            position, confidence, width, _ = fits[0]
-        else:
-            merged = merge(fits, NOISE_ENERGY * self.noise**2)
-            position, confidence, width = (doubled(a, self.shape) for a in merged[:3])
-        plane = np.empty(self.shape, np.uint16)
-        nearest_plane(position.reshape(-1), z, plane.reshape(-1))
+        measured = self._brightest(fits[0]) if self.method == "confocal" else self._sharpest(fits, z)
         if self.count < SMALLEST_STACK:
-            position, confidence, width = z[plane].astype(np.float32), np.zeros_like(confidence), np.zeros_like(width)
+            measured = nothing_known(measured, z)
+        position, confidence, width, plane = measured
         edge = (plane == 0) | (plane == self.count - 1)
         return RangeImage(position, confidence, plane, width, edge, self.noise, z)
+
+    def _sharpest(self, fits: list[Fit], z: NDArray[np.float64]) -> Measured:
+        merged = merge(fits, NOISE_ENERGY * self.noise**2)
+        position, confidence, width = (doubled(a, self.shape) for a in merged[:3])
+        plane = np.empty(self.shape, np.uint16)
+        nearest_plane(position.reshape(-1), z, plane.reshape(-1))
+        return position, confidence, width, plane
+
+    def _brightest(self, fit: Fit) -> Measured:
+        """Brightness of a pixel nothing shines in peaks somewhere, too: noise counts against the confidence."""
+        mean = fit.top / (1 + fit.confidence)
+        confidence = (fit.top - mean) / np.maximum(mean + PEAK_OF_NOISE * self._light_gain * self.noise, 1e-6)
+        return fit.position, confidence.astype(np.float32), fit.width, self._windows[0].plane
+
+
+def nothing_known(measured: Measured, z: NDArray[np.float64]) -> Measured:
+    """Keep the better plane of two, and claim nothing about what lies between them."""
+    _, confidence, width, plane = measured
+    return z[plane].astype(np.float32), np.zeros_like(confidence), np.zeros_like(width), plane
 
 
 def gather(planes: Iterable[Array], image: RangeImage, reach: float) -> Array:
@@ -325,12 +343,12 @@ def compose(planes: Iterable[Array], image: RangeImage, *, method: Method, unit:
         share_confident=float(np.mean(image.confidence >= CONFIDENT)),
         parameters={
             "method": method,
-            "windows": [asdict(window) for window in WINDOWS],
-            "halo": HALO,
-            "confident": CONFIDENT,
-            "gather_reach": reach,
-            "focus_curve_width": curve_width(image),
             "planes": image.z.size,
+            "confident": CONFIDENT,
+            "focus_curve_width": curve_width(image),
+            "gather_reach": reach,
+            "share_in_end_planes": float(np.mean(image.edge)),
+            **({"windows": [asdict(window) for window in WINDOWS], "halo": HALO} if method == "brightfield" else {}),
         },
     )
 
@@ -385,6 +403,14 @@ def check_plane(plane: Array, shape: tuple[int, int]) -> None:
         )
     if plane.dtype not in (np.uint8, np.uint16):
         raise InputError(f"A plane is {plane.dtype}.", fix="give 8 or 16 bit unsigned planes.", code="stack-dtype")
+
+
+def brightness(plane: Array) -> tuple[Array, int]:
+    """Return grey values or luminance, and their gain: 8-bit colours are weighed in 16 bit, so that faint blue counts."""
+    if plane.ndim == 2:
+        return np.ascontiguousarray(plane), 1
+    gain = 256 if plane.dtype == np.uint8 else 1
+    return cv2.cvtColor(plane.astype(np.uint16) * np.uint16(gain), cv2.COLOR_RGB2GRAY), gain
 
 
 def plane_noise(plane: Array) -> float:

@@ -68,6 +68,11 @@ class PeakTrack:
         arrays = (self._samples, self._plane, self._total, *self._recent)
         return sum(a.nbytes for a in arrays)
 
+    @property
+    def plane(self) -> NDArray[np.uint16]:
+        """Plane of the peak so far."""
+        return self._plane.reshape(self._shape).copy()
+
     def add(self, value: Array, k: int) -> None:
         """Take the values of plane ``k``."""
         flat = value.reshape(-1)
