@@ -7,8 +7,20 @@ A process that forks without exec shares them with its child, so a holder must n
 
 from __future__ import annotations
 
-import fcntl
 import struct
+import sys
+
+from devices.errors import StoreError
+
+if sys.platform != "linux":
+    raise StoreError(
+        "frames cannot be passed between processes on this system",
+        why="the ring needs Linux: locks that die with their owner, and memory reserved beforehand.",
+        fix="run on Linux; stacks on disk can be processed on any system.",
+        code="ring-platform",
+    )
+
+import fcntl
 
 # struct flock: type, whence, start, length, pid. The pid must be 0 for open-file-description locks.
 _FLOCK = struct.Struct("hhqqi0q")

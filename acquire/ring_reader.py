@@ -176,12 +176,12 @@ class RingReader:
     def _wait(self, deadline: float) -> bool:
         """Return whether to look again, after a pause unless a frame is waiting."""
         alive = self.writer_alive  # asked first: what it published before it died is then seen below
-        now = self._clock.now()
+        left_s = deadline - self._clock.now()
         if not self.unread:
             if not alive:
                 raise _writer_gone(self.path, self._cursor)
-            self._clock.sleep(min(POLL_S, deadline - now))
-        return now < deadline
+            self._clock.sleep(max(0.0, min(POLL_S, left_s)))
+        return left_s > 0
 
     def _view(self) -> Frame | None:
         if not self.unread:
@@ -203,7 +203,10 @@ class RingReader:
         return frame
 
     def _snapshot(self, number: int) -> Frame | None:
-        """Copy a frame, or return None when the writer reached its slot before the copy was complete."""
+        """Copy a frame, or return None when the writer reached its slot before the copy was complete.
+
+        One look at the sequence, after the copy, is enough: it grows and never comes back to this frame's value.
+        """
         slot = number % self.geometry.slots
         self._fence()
         frame = Frame(number, self._map.header(slot), self._duplicate(self._map.pixels[slot]))

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from acquire.ring_layout import (
-    FREE,
     KIND_NAMES,
     LAYOUT,
     LOSSLESS,
@@ -170,14 +169,13 @@ class RingWriter:
 
     def readers(self) -> tuple[ReaderStatus, ...]:
         """Return every attached reader, dead ones included."""
-        return tuple(self._status(reader) for reader in self._entries())
+        statuses = (self._status(reader) for reader in range(READERS))
+        return tuple(status for status in statuses if status is not None)
 
     def detach_dead(self) -> tuple[ReaderStatus, ...]:
         """Forget the readers that died, so that they hold nothing any more, and return them for the log."""
-        dead = {reader: status for reader in self._entries() if not (status := self._status(reader)).alive}
-        for reader in dead:
-            clear_entry(self._words[entry_word(reader) :])
-        return tuple(dead.values())
+        statuses = (self._detach_if_dead(reader) for reader in range(READERS))
+        return tuple(status for status in statuses if status is not None)
 
     def close(self) -> None:
         """Remove the file; attached readers may read on to the last frame and then get `WriterGone`."""
@@ -217,10 +215,10 @@ class RingWriter:
         if self._has_room():
             return
         deadline = self._clock.now() + timeout_s
-        while not self._has_room():
+        while holders := self._holders():
             if self._clock.now() >= deadline:
                 self.refused = self._words[Word.REFUSED] = self.refused + 1
-                raise self._full(timeout_s)
+                raise _full(self.published, timeout_s, min(holders, key=lambda holder: holder.cursor))
             self._clock.sleep(POLL_S)
 
     def _has_room(self) -> bool:
@@ -232,23 +230,28 @@ class RingWriter:
             if words[first + Entry.KIND] == LOSSLESS:
                 yield words[first + Entry.CURSOR]
 
-    def _full(self, timeout_s: float) -> RingFull:
-        slowest = min((status for status in self.readers() if status.kind == "lossless"), key=lambda s: s.cursor)
-        state = "is too slow or stands still" if slowest.alive else "died and was not detached"
-        return RingFull(
-            f"frame {self.published} found no free place within {timeout_s:g} s: all {self.geometry.slots} are taken",
-            why=f"the lossless reader in process {slowest.pid} still needs frame {slowest.cursor} on; it {state}.",
-            fix=("see why that process does not keep up (a slow or full disk?).", "give the ring more frames."),
-        )
+    def _holders(self) -> list[ReaderStatus]:
+        oldest = self.published - self.geometry.slots
+        return [status for status in self.readers() if status.kind == "lossless" and status.cursor <= oldest]
 
-    def _entries(self) -> list[int]:
-        return [reader for reader in range(READERS) if self._words[entry_word(reader) + Entry.KIND] != FREE]
+    def _detach_if_dead(self, reader: int) -> ReaderStatus | None:
+        if not try_lock(self._fd, READER_BYTE + reader):
+            return None
+        try:
+            status = self._status(reader)
+            clear_entry(self._words[entry_word(reader) :])
+            return status
+        finally:
+            unlock(self._fd, READER_BYTE + reader)
 
-    def _status(self, reader: int) -> ReaderStatus:
+    def _status(self, reader: int) -> ReaderStatus | None:
         entry = self._words[entry_word(reader) :]
+        kind = KIND_NAMES.get(entry[Entry.KIND])
+        if kind is None:
+            return None
         return ReaderStatus(
             pid=entry[Entry.PID],
-            kind=KIND_NAMES[entry[Entry.KIND]],
+            kind=kind,
             cursor=entry[Entry.CURSOR],
             received=entry[Entry.RECEIVED],
             lost=entry[Entry.LOST],
@@ -283,6 +286,15 @@ def _give_name(fd: int, path: Path) -> None:
         os.link(f"/proc/self/fd/{fd}", path.name, dst_dir_fd=folder, follow_symlinks=True)
     finally:
         os.close(folder)
+
+
+def _full(number: int, timeout_s: float, holder: ReaderStatus) -> RingFull:
+    state = "is too slow or stands still" if holder.alive else "died and was not detached"
+    return RingFull(
+        f"frame {number} found no free place in the ring within {timeout_s:g} s",
+        why=f"the lossless reader in process {holder.pid} still needs frame {holder.cursor} on; it {state}.",
+        fix=("see why that process does not keep up (a slow or full disk?).", "give the ring more frames."),
+    )
 
 
 def _no_memory(folder: Path, geometry: Geometry, error: OSError) -> StoreError:

@@ -51,7 +51,7 @@ sys.stdin.readline()
 """
 
 WRITE_FIVE_AND_DIE_IN_THE_SIXTH = """
-import sys
+import subprocess, sys
 from pathlib import Path
 import numpy as np
 from acquire.frame import FrameHeader
@@ -61,6 +61,7 @@ from devices.clock import SystemClock
 writer = RingWriter.create("dying", (128, 128), "uint16", 8, clock=SystemClock(), folder=Path(sys.argv[1]))
 print(writer.path, flush=True)
 sys.stdin.readline()
+heir = subprocess.Popen([sys.executable, "-c", "import sys; sys.stdin.read()"])  # outlives its parent
 for plane in range(5):
     writer.push(np.full((128, 128), plane, np.uint16), FrameHeader(plane, 0.0, 0.0, 1.0))
 with writer.slot() as slot:
@@ -194,3 +195,16 @@ def test_readers_survive_a_killed_writer_with_its_last_frames(spawn, tmp_path, k
             reader.read(2.0)
         assert sweep_stale(tmp_path) == (path,)
         assert reader.received + reader.lost == 5
+
+
+def test_other_systems_get_one_clear_error(spawn):
+    program = """
+import sys
+sys.platform = "win32"
+from devices.errors import StoreError
+try:
+    import acquire.ring
+except StoreError as error:
+    print(error.code, flush=True)
+"""
+    assert spawn(program).stdout.readline() == "ring-platform\n"
