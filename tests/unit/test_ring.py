@@ -383,6 +383,28 @@ def test_pixels_outlive_the_ring(writer, attach):
     assert (frame.pixels == 1).all()
 
 
+def test_pixels_still_held_keep_no_place_taken(writer, attach):
+    kept = []
+    for _ in range(READERS + 1):
+        reader = attach("lossless")
+        push(writer)
+        kept.append(reader.read(0))
+        reader.close()
+    assert len(kept) == READERS + 1
+    assert writer.readers() == ()
+
+
+def test_a_writer_whose_slot_is_still_held_is_gone_when_closed(writer, attach):
+    reader = attach("lossless")
+    with writer.slot() as slot:
+        slot.publish(HEADER)
+    writer.close()
+    assert reader.read(0).number == 0
+    with pytest.raises(WriterGone):
+        reader.read(0)
+    assert slot.pixels.shape == SHAPE
+
+
 def test_the_heartbeat_shows_a_writer_at_rest(writer, attach, clock):
     reader = attach("latest")
     clock.sleep(3)

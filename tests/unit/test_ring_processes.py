@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 
 import numpy as np
 import pytest
@@ -135,6 +136,26 @@ def test_lossless_readers_hold_the_writer_and_miss_nothing(spawn, writer):
     assert writer.refused == 0
 
 
+def test_a_lossless_reader_may_join_and_leave_at_full_speed(writer):
+    enough = threading.Event()
+
+    def write():
+        while not enough.is_set():
+            publish(writer, 1)
+
+    thread = threading.Thread(target=write)
+    thread.start()
+    try:
+        for _ in range(200):
+            with RingReader.attach(writer.path, "lossless", clock=SystemClock()) as reader:
+                frames = [(frame.number, int(frame.pixels.min())) for frame in (reader.read(30.0) for _ in range(4))]
+            first = frames[0][0]
+            assert frames == [(number, number % 65536) for number in range(first, first + 4)]
+    finally:
+        enough.set()
+        thread.join()
+
+
 def test_a_killed_lossless_reader_holds_its_claim_until_it_is_detached(spawn, writer):
     child = spawn(READ_ONE_AND_WAIT, writer.path, "lossless")
     assert child.stdout.readline() == "ready\n"
@@ -145,6 +166,8 @@ def test_a_killed_lossless_reader_holds_its_claim_until_it_is_detached(spawn, wr
     with pytest.raises(RingFull, match="no free place") as caught:
         writer.push(np.zeros(SHAPE, np.uint16), HEADER, timeout_s=0)
     assert f"process {child.pid} still needs frame 0 on; it died" in caught.value.why
+    with RingReader.attach(writer.path, "lossless", clock=SystemClock()):
+        assert [status.pid for status in writer.readers()] == [child.pid, os.getpid()]
     (status,) = writer.detach_dead()
     assert (status.pid, status.kind, status.cursor, status.alive) == (child.pid, "lossless", 0, False)
     assert writer.readers() == ()
