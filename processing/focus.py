@@ -406,7 +406,7 @@ def check_plane(plane: Array, shape: tuple[int, int]) -> None:
 
 
 def brightness(plane: Array) -> tuple[Array, int]:
-    """Return grey values or luminance, and their gain: 8-bit colours are weighed in 16 bit, so that faint blue counts."""
+    """Return grey values or luminance with their gain: 8-bit colours are weighed in 16 bit, so faint blue counts."""
     if plane.ndim == 2:
         return np.ascontiguousarray(plane), 1
     gain = 256 if plane.dtype == np.uint8 else 1

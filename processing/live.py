@@ -1,0 +1,179 @@
+"""Extended focus and range while a run is taken: a reader of the ring that cannot hold it up.
+
+The newest frame is measured as it comes. Frames it came too late for are read back from the run's folder once they are
+durable there, so the result lacks nothing; it has the same bits as `processing.focus.focus_stack` on the run's folder
+without registration.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from acquire.ring import RingReader, WriterGone
+from acquire.store import RunEnd, open_run
+from devices.clock import SystemClock
+from processing.focus import FocusResult, FocusSweep, compose, focus_stack
+from processing.stack import open_stack
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from acquire.frame import Frame
+    from acquire.store import StoredRun
+    from devices.protocols import Clock
+    from processing.focus import Method
+
+    Array = NDArray[Any]
+
+LOOK_S = 0.05
+KEEP_BYTES = 1024**3  # planes of a run up to this size stay in memory for the last step
+WARM_SIDE = 16
+
+
+class LiveFocus:
+    """The planes of a run in their order, measured as soon as each and all before it are there.
+
+    Parameters
+    ----------
+    run : StoredRun
+        The run's folder, being written.
+    method : {"brightfield", "confocal"}
+        As in `FocusSweep`.
+    """
+
+    def __init__(self, run: StoredRun, method: Method) -> None:
+        self.run = run
+        self.method = method
+        height, width = run.layout.shape[:2]
+        self._sweep = FocusSweep((height, width), method=method)
+        self._waiting: dict[int, Frame] = {}
+        self._z_um: list[float] = []
+        self._kept: list[Array] = []
+        self._next = 0
+
+    @property
+    def complete(self) -> bool:
+        """Whether every planned plane was measured or is known to be missing."""
+        return self._next == self.run.layout.planned
+
+    def take(self, frame: Frame) -> None:
+        """Take a frame from the ring, in any order."""
+        if frame.header.plane >= self._next:
+            self._waiting[frame.header.plane] = frame
+        self.advance()
+
+    def advance(self) -> None:
+        """Measure all planes that are there, up to the first that is not."""
+        while not self.complete and self._take_next():
+            self._next += 1
+
+    def _take_next(self) -> bool:
+        frame = self._waiting.pop(self._next, None)
+        if frame is not None:
+            self._measure(frame.pixels, frame.header.z_um)
+            return True
+        return bool(self._waiting) and self._take_from_disk()
+
+    def _take_from_disk(self) -> bool:
+        """Fill in a plane that was overtaken; False while the disk does not have it yet."""
+        self.run.refresh()
+        record = self.run.planes.get(self._next)
+        if record is not None:
+            self._measure(self.run.read(self._next), record.header.z_um)
+        return record is not None or self._next in self.run.missed
+
+    def _measure(self, pixels: Array, z_um: float) -> None:
+        self._sweep.add(pixels)
+        self._z_um.append(z_um)
+        if pixels.nbytes * self.run.layout.planned <= KEEP_BYTES:
+            self._kept.append(pixels)
+
+    def result(self) -> FocusResult | None:
+        """Return the result, or None when it has to be made from the finished run's folder.
+
+        That is so when planes stayed away without a word, are not in the order of their positions, or are too many to
+        be kept in memory.
+        """
+        z_um = np.array(self._z_um)
+        steps = np.diff(z_um)
+        in_order = (steps > 0).all() or (steps < 0).all()
+        if not (self.complete and in_order and self._kept):
+            return None
+        known = z_um if z_um.size > 1 else None
+        result = compose(
+            self._kept, self._sweep.finish(known), method=self.method, unit="plane" if known is None else "um"
+        )
+        result.parameters["registration"] = {"applied": False, "why": "planes are not moved while they are taken"}
+        return result
+
+
+def follow(reader: RingReader, live: LiveFocus) -> None:
+    """Feed frames from the ring until all planes are there or the run gives no more."""
+    while not live.complete:
+        try:
+            frame = reader.read(LOOK_S)
+        except WriterGone:
+            return
+        if frame is None:
+            live.advance()
+        else:
+            live.take(frame)
+
+
+def wait_for_end(run: StoredRun, clock: Clock) -> None:
+    """Wait until the run has written its last word, or its process died."""
+    while run.state is RunEnd.RUNNING:
+        clock.sleep(LOOK_S)
+        run.refresh()
+
+
+def from_folder(run: StoredRun, method: Method) -> FocusResult:
+    """Measure the finished run's folder, as `stereotome process focus` does without registration."""
+    stack = open_stack(run.folder)
+    return focus_stack(stack, z_um=stack.z_um, method=method, register=False)
+
+
+def follow_run(
+    ring: Path, folder: Path, *, method: Method, ready: Callable[[], None], clock: Clock | None = None
+) -> FocusResult:
+    """Measure a run while it is taken.
+
+    Parameters
+    ----------
+    ring, folder : Path
+        The run's ring and its folder.
+    method : {"brightfield", "confocal"}
+        As in `FocusSweep`.
+    ready : callable
+        Called once when frames are being watched and no compiling stands in the way any more.
+
+    Raises
+    ------
+    StoreError
+        The ring or the folder is not usable.
+    InputError
+        The run ended without a plane.
+    """
+    clock = clock or SystemClock()
+    with RingReader.attach(ring, "latest", clock=clock) as reader:
+        live = LiveFocus(open_run(folder), method)
+        warm(live.run, method)
+        ready()
+        follow(reader, live)
+    result = live.result()
+    if result is None:
+        wait_for_end(live.run, clock)
+        result = from_folder(live.run, method)
+    return result
+
+
+def warm(run: StoredRun, method: Method) -> None:
+    """Have everything compiled or loaded before the first frame comes."""
+    layout = run.layout
+    shape = (WARM_SIDE, WARM_SIDE, *layout.shape[2:])
+    focus_stack(list(np.zeros((3, *shape), layout.dtype)), method=method, register=False)
