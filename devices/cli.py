@@ -28,11 +28,18 @@ if TYPE_CHECKING:
 
 GROUP = "stereotome.commands"
 HELP = "Takes focal and section stacks at the microscope and shows the third dimension."
-GROUP_HELP = {
+COMMAND_HELP = {
     "config": "Look at instrument and recipe files.",
+    "config check": "Check instrument and recipe files.",
+    "demo": "Take a stack on a simulated bench and make pictures of it; needs no files.",
     "devices": "Look at what is connected.",
+    "devices list": "List the serial ports present now and the installed drivers.",
+    "doctor": "See whether this machine is ready, and how to mend what is not.",
     "process": "Make pictures and measurements from stacks.",
+    "process focus": "Make an extended-focus image and a range image from a focal stack.",
+    "run": "Take what a recipe says.",
     "sim": "A simulated bench to put in place of an instrument.",
+    "sim serve": "Serve a simulated bench until it is told to end.",
 }
 USAGE, INTERRUPTED = 2, 130
 
@@ -47,7 +54,7 @@ def main() -> NoReturn:
 def run(arguments: Sequence[str]) -> int:
     """Run one command and return its exit code; nothing but words reaches the user."""
     try:
-        result = build_app()(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        result = build_app(arguments)(arguments, exit_on_error=False, print_error=False, result_action="return_value")
     except StereotomeError as error:
         return _say(error.message(), error.exit_code)
     except CycloptsError as error:
@@ -61,16 +68,21 @@ def run(arguments: Sequence[str]) -> int:
     return result if isinstance(result, int) else 0
 
 
-def build_app() -> App:
-    """Return the program with every installed command, none of them imported yet."""
+def build_app(arguments: Sequence[str]) -> App:
+    """Return the program with every installed command, none of them imported yet.
+
+    A list of commands shows our short words for each; the command asked for by ``arguments`` shows its own.
+    """
+    asked = " ".join(arguments)
     app = App("stereotome", help=HELP, version=lambda: version("stereotome"), suppress_keyboard_interrupt=False)
     groups = {"": app}
     for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
         group, _, name = point.name.rpartition(" ")
         if group not in groups:
-            groups[group] = App(group, help=GROUP_HELP.get(group, ""))
+            groups[group] = App(group, help=COMMAND_HELP.get(group, ""))
             app.command(groups[group])
-        groups[group].command(point.value, name=name)
+        words = None if asked.startswith(point.name) else COMMAND_HELP.get(point.name)
+        groups[group].command(point.value, name=name, help=words)
     return app
 
 

@@ -152,7 +152,8 @@ def _natural(file: Path) -> list[tuple[int, str]]:
 
 
 def _pages(source: Path) -> list[tuple[str, Callable[[], np.ndarray]]]:
-    count = len(_opened(source).pages)
+    with _opened(source) as tiff:
+        count = len(tiff.pages)
     return [(f"{source}, page {page + 1}", partial(_tiff_page, source, page)) for page in range(count)]
 
 

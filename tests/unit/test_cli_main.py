@@ -39,7 +39,6 @@ def nine(count: int = 9) -> int:
 @pytest.fixture(autouse=True)
 def commands(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     """The program with commands of our own in place of the installed ones."""
-    sys.modules.setdefault(HERE, sys.modules[__name__])
     names = {"refuse": refuse, "busy": busy, "interrupt": interrupt, "stumble": stumble, "count nine": nine}
     points = [EntryPoint(name, f"{HERE}:{function.__name__}", cli.GROUP) for name, function in names.items()]
     points.append(EntryPoint("absent", "no.such.module:command", cli.GROUP))
@@ -56,6 +55,18 @@ def test_an_error_of_ours_becomes_words_and_its_exit_code(capsys: pytest.Capture
 def test_a_command_returns_its_exit_code():
     assert cli.run(["count", "nine"]) == 9
     assert cli.run(["count", "nine", "--count", "6"]) == 6
+
+
+def test_a_command_shows_its_own_help_and_a_list_of_commands_our_words(
+    capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(cli, "COMMAND_HELP", {"count nine": "Count.", "count": "Numbers."})
+    assert cli.run(["count", "nine", "--help"]) == 0
+    assert "Return a number." in capsys.readouterr().out
+    assert cli.run(["count", "--help"]) == 0
+    assert "Count." in capsys.readouterr().out
+    assert cli.run(["--help"]) == 0
+    assert "Numbers." in capsys.readouterr().out
 
 
 def test_ctrl_c_before_anything_was_kept(capsys: pytest.CaptureFixture):
@@ -100,7 +111,7 @@ def test_wrong_usage_is_two_lines_and_exit_2(capsys: pytest.CaptureFixture, argu
 ENDLESS = """
 import sys
 from devices import cli
-cli.build_app = lambda: lambda *a, **k: [print("x", flush=True) for _ in range(99999)]
+cli.build_app = lambda arguments: lambda *a, **k: [print("x", flush=True) for _ in range(99999)]
 sys.exit(cli.run([]))
 """
 WAITING = """
