@@ -1,0 +1,218 @@
+"""What ``process focus`` leaves in a folder: measured images as TIFF, previews as PNG, and a report.
+
+Nothing appears before all of it is durable: files are written aside and renamed at the end, the report last.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import platform
+import resource
+import shutil
+import sys
+import tempfile
+from importlib.metadata import version
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import tifffile
+
+from devices.errors import InputError, StoreError
+from processing.pictures import confidence_map, png_bytes, preview, range_map
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from processing.focus import FocusResult
+    from processing.stack import Stack
+
+    Array = NDArray[Any]
+
+FILES = (
+    "extended_focus.tif",
+    "range.tif",
+    "confidence.tif",
+    "plane.tif",
+    "extended_focus.png",
+    "range.png",
+    "confidence.png",
+    "report.json",
+)
+FORMAT, FORMAT_VERSION = "stereotome-focus", 1
+PACKAGES = ("stereotome", "numpy", "opencv-contrib-python-headless", "numba", "tifffile")
+FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+UM_PER_CM = 1e4
+
+
+def check_folder(folder: Path, *, overwrite: bool = False) -> None:
+    """Refuse a folder that holds results already; asked before the work, not after.
+
+    Raises
+    ------
+    InputError
+        ``output-exists``: the path is a file, or holds results and ``overwrite`` is False.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is a file.", fix="name a folder: -o DIR", code="output-exists")
+    there = [name for name in FILES if (folder / name).exists()]
+    if there and not overwrite:
+        raise InputError(
+            f"{folder} holds results already: {', '.join(there)}. Nothing was started.",
+            fix=("choose another folder: -o DIR", "replace them: --overwrite"),
+            code="output-exists",
+        )
+
+
+def write_focus_result(
+    result: FocusResult,
+    folder: Path,
+    *,
+    pixel_um: float | None = None,
+    facts: dict[str, Any] | None = None,
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Write images, previews and report of a focus measurement.
+
+    Parameters
+    ----------
+    result : FocusResult
+        What was measured.
+    folder : Path
+        Made if it does not exist.
+    pixel_um : float, optional
+        Size of a pixel in the specimen, kept as resolution of the TIFFs.
+    facts : dict, optional
+        More for the report, such as `about_stack` gives; JSON types.
+    overwrite : bool
+        Replace results that are there.
+
+    Returns
+    -------
+    dict
+        The report as written.
+
+    Raises
+    ------
+    InputError
+        As `check_folder`.
+    StoreError
+        ``disk-full`` or ``store``: the disk refused; earlier results are as they were.
+    """
+    check_folder(folder, overwrite=overwrite)
+    report = {**_measured(result), "pixel_um": pixel_um, **(facts or {}), "versions": versions(), "files": list(FILES)}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".part-", dir=folder) as aside:
+            for name, content in _contents(result, pixel_um, report):
+                write_durably(Path(aside) / name, content)
+            for name in FILES:
+                (Path(aside) / name).replace(folder / name)
+        _sync(folder)
+    except OSError as error:
+        raise disk_error(folder, error) from None
+    return report
+
+
+def _contents(result: FocusResult, pixel_um: float | None, report: dict[str, Any]) -> list[tuple[str, bytes]]:
+    """Encode every file, in the order of ``FILES``."""
+    confident = float(result.parameters["confident"])
+    span = f"range in {'um' if result.unit == 'um' else 'planes counted from 0'}"
+    encoded = (
+        tiff_bytes(result.extended_focus, pixel_um, "extended focus"),
+        tiff_bytes(result.range, pixel_um, span),
+        tiff_bytes(result.confidence, pixel_um, "confidence of the range"),
+        tiff_bytes(result.plane, pixel_um, "plane nearest to the best focus, counted from 0"),
+        png_bytes(preview(result.extended_focus)),
+        png_bytes(range_map(result.range, result.confidence, confident, result.unit, pixel_um)),
+        png_bytes(confidence_map(result.confidence, confident, pixel_um)),
+        (json.dumps(report, indent=1, ensure_ascii=False, default=_plain) + "\n").encode(),
+    )
+    return list(zip(FILES, encoded, strict=True))
+
+
+def tiff_bytes(image: Array, pixel_um: float | None, description: str) -> bytes:
+    """Encode (h, w) or RGB (h, w, 3) as TIFF; the pixel size becomes a resolution in pixels per centimetre."""
+    file = BytesIO()
+    per_cm = {} if pixel_um is None else {"resolution": (UM_PER_CM / pixel_um,) * 2, "resolutionunit": "CENTIMETER"}
+    kind = "rgb" if image.ndim == 3 else "minisblack"
+    about = {"description": description, "software": f"stereotome {version('stereotome')}", "metadata": None}
+    tifffile.imwrite(file, image, photometric=kind, **about, **per_cm)  # type: ignore[arg-type]
+    return file.getvalue()
+
+
+def _measured(result: FocusResult) -> dict[str, Any]:
+    sure = result.confidence >= result.parameters["confident"]
+    trusted = result.range[sure] if sure.any() else result.range
+    percentiles = np.percentile(trusted, (0, 1, 50, 99, 100))
+    return {
+        "format": FORMAT,
+        "version": FORMAT_VERSION,
+        "method": result.parameters["method"],
+        "unit": result.unit,
+        "range": dict(zip(("min", "p1", "median", "p99", "max"), map(float, percentiles), strict=True)),
+        "share_confident": result.share_confident,
+        "noise_grey_levels": float(result.noise),
+        "parameters": result.parameters,
+    }
+
+
+def about_stack(stack: Stack) -> dict[str, Any]:
+    """Describe the input for the report."""
+    shape = {"planes": len(stack), "height": stack.shape[0], "width": stack.shape[1], "colour": stack.colour}
+    z_um = None if stack.z_um is None else [round(float(z), 6) for z in stack.z_um]
+    source = {"source": str(stack.source), **shape, "dtype": str(stack.dtype), "z_um": z_um}
+    return {"input": source, "notes": list(stack.notes)}
+
+
+def versions() -> dict[str, str]:
+    """Return what the result was made with."""
+    return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
+
+
+def peak_memory_mb() -> float:
+    """Return the most memory this process ever held."""
+    unit = 1 if sys.platform == "darwin" else 1024  # bytes there, kibibytes elsewhere
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+
+
+def _plain(value: object) -> object:
+    """Turn numpy's numbers and arrays into JSON's."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} has no place in a report")
+
+
+def write_durably(path: Path, content: bytes) -> None:
+    """Write a file and wait until the disk has it."""
+    with path.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _sync(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def disk_error(folder: Path, error: OSError) -> StoreError:
+    """Return the words for a disk that refused to take results."""
+    if error.errno in FULL:
+        nearest = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+        free_mb = shutil.disk_usage(nearest).free / 1e6
+        return StoreError(
+            f"the disk of {folder} is full: {free_mb:.0f} MB are free. No result was kept.",
+            fix=("free some space", "choose another folder: -o DIR"),
+            code="disk-full",
+        )
+    return StoreError(
+        f"cannot write to {folder}: {os.strerror(error.errno or 0)}. No result was kept.",
+        fix="choose a folder you may write to: -o DIR",
+    )

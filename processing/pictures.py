@@ -1,0 +1,129 @@
+"""Pictures for the eye: previews, maps with a colour bar, captions. What is measured on is written elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    Array = NDArray[Any]
+    Picture = NDArray[np.uint8]
+
+DOTS_PER_INCH = 100
+MAP_SIDE_PX = 900  # longer side of a map; the numbers are in the TIFF beside it
+MARGINS_INCH = (2.2, 1.3)  # for the scales and the colour bar, and for title and caption
+STRETCH_PERCENT = (0.1, 99.9)
+LIMITS_PERCENT = (0.5, 99.5)
+CAPTION_PX = 22
+RANGE_COLOURS, CONFIDENCE_COLOURS = "viridis", "magma"  # both rise evenly in lightness
+
+
+@dataclass(frozen=True)
+class MapWords:
+    """What is written on a map."""
+
+    title: str
+    bar: str
+
+
+def preview(image: Array) -> Picture:
+    """Return an 8-bit picture of the same size; 16 bit is stretched between its 0.1 and 99.9 percentiles."""
+    if image.dtype == np.uint8:
+        return np.asarray(image, np.uint8)
+    low, high = np.percentile(image, STRETCH_PERCENT)
+    stretched = (image.astype(np.float32) - low) * (255.0 / max(high - low, 1.0))
+    return np.rint(np.clip(stretched, 0, 255)).astype(np.uint8)
+
+
+def shown_limits(values: Array, trusted: NDArray[np.bool_] | None = None) -> tuple[float, float]:
+    """Return the values between which colours are spread, from the pixels that can be trusted where there are any."""
+    chosen = values[trusted] if trusted is not None and trusted.any() else values
+    low, high = (float(v) for v in np.percentile(chosen, LIMITS_PERCENT))
+    return (low, high) if high > low else (low - 0.5, low + 0.5)
+
+
+def range_map(values: Array, confidence: Array, confident: float, unit: str, pixel_um: float | None) -> Picture:
+    """Draw a range image with a colour bar.
+
+    Parameters
+    ----------
+    values, confidence : array (height, width) float32
+        Range in ``unit`` and how sure it is.
+    confident : float
+        Confidence from which a pixel has a say in the limits of the colours.
+    unit : {"um", "plane"}
+        Unit of the range.
+    pixel_um : float, optional
+        Size of a pixel; the axes are in pixels without it.
+
+    Returns
+    -------
+    array (h, w, 3) uint8
+        RGB.
+    """
+    low, high = shown_limits(values, confidence >= confident)
+    word = "µm" if unit == "um" else "planes counted from 0"
+    share = float(np.mean(confidence >= confident))
+    title = f"Range {low:.4g} … {high:.4g} {'µm' if unit == 'um' else 'planes'}; {share:.0%} of pixels are sure"
+    return draw_map(values, (low, high), MapWords(title, f"range, {word}"), RANGE_COLOURS, pixel_um)
+
+
+def confidence_map(confidence: Array, confident: float, pixel_um: float | None) -> Picture:
+    """Draw how sure a range image is; colours as in `range_map`."""
+    high = max(float(np.percentile(confidence, LIMITS_PERCENT[1])), confident)
+    words = MapWords(f"Confidence of the range; sure from {confident:g}", "(max - mean) / mean of the sharpness")
+    return draw_map(confidence, (0.0, high), words, CONFIDENCE_COLOURS, pixel_um)
+
+
+def draw_map(
+    values: Array, limits: tuple[float, float], words: MapWords, colours: str, pixel_um: float | None
+) -> Picture:
+    """Draw values as colours, with scales along the sides and a colour bar; returns RGB, (h, w, 3) uint8."""
+    height, width = values.shape
+    inches = MAP_SIDE_PX / DOTS_PER_INCH / max(height, width)
+    size = (max(width * inches, 3.5) + MARGINS_INCH[0], height * inches + MARGINS_INCH[1])
+    figure = Figure(figsize=size, dpi=DOTS_PER_INCH, layout="constrained")
+    axes = figure.add_subplot()
+    pixel = pixel_um or 1.0
+    extent = (0.0, width * pixel, height * pixel, 0.0)
+    image = axes.imshow(values, cmap=colours, vmin=limits[0], vmax=limits[1], extent=extent)
+    _label(axes, words.title, "µm" if pixel_um else "pixels")
+    figure.colorbar(image, label=words.bar, extend="both")
+    return _drawn(figure)
+
+
+def _label(axes: Axes, title: str, unit: str) -> None:
+    axes.set_title(title, fontsize=11)
+    axes.set_xlabel(f"x, {unit}")
+    axes.set_ylabel(f"y, {unit}")
+
+
+def _drawn(figure: Figure) -> Picture:
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba(), np.uint8)[..., :3].copy()
+
+
+def captioned(image: Picture, words: str) -> Picture:
+    """Return the picture, (h, w[, 3]) uint8, as RGB with a line of white words on black below it."""
+    colour = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+    width = max(image.shape[1] / DOTS_PER_INCH, 0.5)
+    figure = Figure(figsize=(width, CAPTION_PX / DOTS_PER_INCH), dpi=DOTS_PER_INCH, facecolor="black")
+    letters = min(8.0, 0.98 * image.shape[1] / max(len(words), 1) * 72 / DOTS_PER_INCH / 0.55)
+    figure.text(0.005, 0.25, words, color="white", fontsize=letters)
+    strip = cv2.resize(_drawn(figure), (image.shape[1], CAPTION_PX), interpolation=cv2.INTER_AREA)
+    return np.vstack([colour, strip])
+
+
+def png_bytes(image: Array) -> bytes:
+    """Encode grey (h, w) or RGB (h, w, 3), uint8 or uint16, as PNG."""
+    encoded: Array = cv2.imencode(".png", image if image.ndim == 2 else image[..., ::-1])[1]
+    return encoded.tobytes()
