@@ -16,14 +16,14 @@ T = TypeVar("T")
 log = logging.getLogger(__name__)
 
 SLICE_S = 0.02
+QUIET_AFTER_INTERRUPTION_S = 0.02  # both replies are on their way; a cancelled run may not wait longer
 
 
 class Link:
     """Asks requests of a controller that ends each reply with a terminator.
 
-    A reply that comes too late looks like the answer to the next question. So after a silence, a garbled reply or an
-    interruption the line is suspect, and nothing is asked before it has been quiet for one ``timeout_s`` (or noisy for
-    two).
+    A reply that comes too late looks like the answer to the next question. So after a silence or a garbled reply nothing
+    is asked before the line has been quiet for one ``timeout_s`` (or noisy for two), after an interruption for a moment.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class Link:
         self._attempts = attempts
         self._conversation = Lock()
         self._writing = Lock()
-        self._suspect = False
+        self._quiet_s = 0.0
         self._interruptions = 0
 
     def ask(self, request: Request[T]) -> T:
@@ -82,7 +82,7 @@ class Link:
         if self._conversation.locked():
             with self._writing:
                 self._interruptions += 1
-                self._suspect = True
+                self._quiet_s = max(self._quiet_s, QUIET_AFTER_INTERRUPTION_S)
                 self._transport.write(request.payload)
         return self.ask(request)
 
@@ -93,13 +93,14 @@ class Link:
     def _once(self, request: Request[T]) -> T:
         with self._conversation:
             before = self._interruptions
-            if self._suspect:
+            if self._quiet_s:
                 self._drain()
             self._discard()
             try:
                 return request.decode(self._exchange(request.payload, before))
             except LinkError:
-                self._suspect = True
+                if self._interruptions == before:
+                    self._quiet_s = self._timeout_s
                 raise
 
     def _exchange(self, payload: bytes, before: int) -> bytes:
@@ -127,11 +128,11 @@ class Link:
             log.warning("%s: unasked: %r", self.name, stale)
 
     def _drain(self) -> None:
-        """Read until the line was quiet for one timeout, at most for two."""
-        self._suspect = False
+        """Read until the line was quiet for as long as it has to be, at most for two timeouts."""
+        quiet_s, self._quiet_s = self._quiet_s, 0.0
         now = self._clock.now()
         end, quiet_since = now + 2 * self._timeout_s, now
-        while now < min(end, quiet_since + self._timeout_s):
+        while now < min(end, quiet_since + quiet_s):
             late = self._transport.read(SLICE_S)
             now = self._clock.now()
             if late:

@@ -159,6 +159,7 @@ def test_a_halt_does_not_wait_for_a_reply_that_never_comes():
     assert stuck.asked.wait(10)
     link.interrupt(asi.halt())
     asking.join(10)
+    assert stuck.seconds < 0.05, "a cancelled run waited for the line"
     assert isinstance(errors[0], NoReply), "the interrupted question took the halt's reply for its own"
 
 
