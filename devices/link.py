@@ -22,8 +22,9 @@ QUIET_AFTER_INTERRUPTION_S = 0.02  # both replies are on their way; a cancelled 
 class Link:
     """Asks requests of a controller that ends each reply with a terminator.
 
-    A reply that comes too late looks like the answer to the next question. So after a silence or a garbled reply nothing
-    is asked before the line has been quiet for one ``timeout_s`` (or noisy for two), after an interruption for a moment.
+    A reply that comes too late looks like the answer to the next question. So nothing is asked after a silence or a
+    garbled reply before the line has been quiet for one ``timeout_s`` (or noisy for two); after an interruption, before
+    it has been quiet for a moment.
 
     Parameters
     ----------
