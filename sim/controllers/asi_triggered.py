@@ -1,0 +1,125 @@
+"""What an ASI axis does on a TTL pulse: the ring of positions and the linear stack."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from sim.controllers.asi_grammar import FAILED, OUT_OF_RANGE, Command, Nack, Word
+
+if TYPE_CHECKING:
+    from sim.motion import Axis
+
+RING_SLOTS = 50
+UNITS_PER_UM = 10.0
+TTL_OFF, TTL_RING, TTL_REPEAT, TTL_STACK = 0, 1, 2, 4
+MOST_PLANES = 32767
+Z_BIT = 4
+ACK = ":A "
+
+
+class Triggered:
+    """State behind ``RM``, ``LD``, ``TTL`` and ``ZS`` for the Z axis.
+
+    The axis bit mask of ``RM Y`` is 3 at power-up, X and Y only: a ring for Z needs ``RM Y=4`` first.
+    """
+
+    def __init__(self, axis: Axis) -> None:
+        self._axis = axis
+        self.origin_um = 0.0
+        self.last_relative_um = 0.0
+        self._ring: list[float] = []
+        self._next = 0
+        self._settings = {"RM": {"Y": 3.0, "Z": 0.0, "F": 1.0}, "TTL": {"X": 0.0, "Y": 0.0, "F": 1.0}}
+        self._stack = {"X": 0.0, "Y": 1.0, "Z": 0.0, "F": 500.0}
+        self._stack_index: int | None = None
+        self._centre_um = 0.0
+        self._last_pulse_s = 0.0
+
+    def ring(self, command: Command) -> str:
+        """``RM``: clear, choose axes and mode, count, or step once without a pulse."""
+        if not command.words:
+            self._step_ring()
+            return ACK
+        if command.is_query:
+            return self._told(command, {"X": float(len(self._ring)), **self._settings["RM"]})
+        if command.value("X") is not None:
+            self._ring, self._next = [], 0
+        return self._set("RM", [word for word in command.words if word.letter != "X"])
+
+    def load(self, command: Command) -> str:
+        """``LD``: append a position, in tenths of a µm."""
+        position = command.value("Z")
+        if position is not None:
+            if len(self._ring) >= RING_SLOTS:
+                raise Nack(FAILED)
+            self._ring.append(position / UNITS_PER_UM)
+        return ACK
+
+    def line(self, command: Command) -> str:
+        """``TTL``: what a pulse does."""
+        if command.is_query:
+            return self._told(command, self._settings["TTL"])
+        reply = self._set("TTL", list(command.words))
+        self._stack_index = None
+        return reply
+
+    def stack(self, command: Command) -> str:
+        """``ZS``: step, number, mode and timeout of the linear stack; its index and state."""
+        if command.is_query:
+            running = self._stack_index is not None
+            return self._told(command, self._stack | {"T": float(self._stack_index or 0), "M": float(running)})
+        if command.value("M") is not None:
+            self.abort()
+            return ACK
+        planes = command.value("Y")
+        if planes is not None and not 1 <= planes <= MOST_PLANES:
+            raise Nack(OUT_OF_RANGE)
+        self._stack.update({word.letter: word.number for word in command.words if word.letter in self._stack})
+        return ACK
+
+    def abort(self) -> None:
+        """Forget a stack under way."""
+        self._stack_index = None
+
+    def pulse(self) -> None:
+        """One pulse arrives at TTL IN0."""
+        action = {TTL_RING: self._step_ring, TTL_REPEAT: self._repeat, TTL_STACK: self._step_stack}
+        action.get(int(self._settings["TTL"]["X"]), lambda: None)()
+
+    def check_timeout(self) -> None:
+        """Return to the start when no pulse came for ``ZS F`` ms: the controller does so silently."""
+        silent_s = self._axis.clock.now() - self._last_pulse_s
+        if self._stack_index is not None and silent_s > self._stack["F"] / 1000:
+            self._stack_index = None
+            self._axis.move_to(self._centre_um)
+
+    def _step_ring(self) -> None:
+        if self._ring and int(self._settings["RM"]["Y"]) & Z_BIT:
+            self._axis.move_to(self._ring[self._next % len(self._ring)] + self.origin_um)
+            self._next += 1
+
+    def _repeat(self) -> None:
+        self._axis.move_to(self._axis.encoder_um() + self.last_relative_um)
+
+    def _step_stack(self) -> None:
+        """Go from plane to plane around where the first pulse found the axis; after the last begin anew."""
+        planes, step_um = int(self._stack["Y"]), self._stack["X"] / UNITS_PER_UM
+        if self._stack_index is None:
+            self._centre_um, self._stack_index = self._axis.encoder_um(), -1
+        self._stack_index += 1
+        self._last_pulse_s = self._axis.clock.now()
+        plane = _triangle(self._stack_index, planes) if self._stack["Z"] else self._stack_index % planes
+        self._axis.move_to(self._centre_um + step_um * (plane - (planes - 1) / 2))
+
+    def _set(self, name: str, words: list[Word]) -> str:
+        self._settings[name].update({word.letter: word.number for word in words})
+        return ACK
+
+    def _told(self, command: Command, values: dict[str, float]) -> str:
+        return ":A " + " ".join(f"{word.letter}={values.get(word.letter, 0):.0f}" for word in command.words)
+
+
+def _triangle(index: int, planes: int) -> int:
+    """Return 0, 1, … planes - 1, planes - 2, … 0, 1, …."""
+    at = index % max(2 * planes - 2, 1)
+    return min(at, 2 * planes - 2 - at)

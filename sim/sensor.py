@@ -1,0 +1,108 @@
+"""Frames: the light along the path of the axis during the exposure, then photon and read noise, then digits."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from devices.values import CameraCaps
+from sim.optics import FARTHEST_UM, FULL_SCALE, LEVELS, Optics, blurred, level_distances_um
+
+if TYPE_CHECKING:
+    from sim.specimen import Specimen
+
+NOISE_TILE = 1024
+FULL_WELL_E = 12000.0
+READ_NOISE_E = 4.0
+BLACK_LEVEL = 0.01
+WHITE_LEVEL = 0.85
+
+
+class Sensor:
+    """Takes pictures of a specimen through an objective.
+
+    Parameters
+    ----------
+    specimen : Specimen
+        What is seen.
+    optics : Optics
+        Through what.
+    bit_depth : int
+        8 gives uint8 frames, more gives uint16.
+    exposure_ms : float
+        Exposure for which a texture of 1 comes near full scale.
+    seed : int
+        Of the noise: the same seed and the same exposures give the same frames.
+    """
+
+    def __init__(self, specimen: Specimen, optics: Optics, *, bit_depth: int, exposure_ms: float, seed: int) -> None:
+        distances_um = level_distances_um()
+        self._sheets = [(s.height_um, blurred(s.texture, optics, distances_um)) for s in specimen.sheets]
+        self._shape = specimen.sheets[0].height_um.shape
+        self._light = np.empty(self._shape, np.float32)
+        self._full = float((1 << bit_depth) - 1)
+        self._nominal_ms = exposure_ms
+        self._rng = np.random.default_rng(seed)
+        self._noise = self._rng.standard_normal((NOISE_TILE, NOISE_TILE), np.float32)
+        self._bit_depth = bit_depth
+
+    def caps(self) -> CameraCaps:
+        """Return the shape and type of frames."""
+        height, width = self._shape
+        dtype = "uint8" if self._bit_depth == 8 else "uint16"
+        return CameraCaps("simulated camera", height, width, 1, dtype, self._bit_depth, timed=True)
+
+    def expose(self, path_um: np.ndarray, exposure_ms: float, out: np.ndarray) -> None:
+        """Fill ``out`` with the picture of one exposure.
+
+        Parameters
+        ----------
+        path_um : ndarray
+            (n,) positions of the axis, equally long at each.
+        exposure_ms : float
+            How long in all.
+        out : ndarray
+            (height, width), of the type in `caps`.
+        """
+        self._light.fill(0)
+        for height_um, levels in self._sheets:
+            _add_light(self._light, height_um, levels, path_um.astype(np.float32))
+        gain = (WHITE_LEVEL - BLACK_LEVEL) / (FULL_SCALE * len(path_um)) * exposure_ms / self._nominal_ms
+        _develop(self._light, self._noise, self._rng.integers(0, NOISE_TILE, 2), np.float32(gain), self._full, out)
+
+
+@njit(nogil=True, fastmath=True, cache=True)
+def _add_light(light: np.ndarray, height_um: np.ndarray, levels: np.ndarray, path_um: np.ndarray) -> None:
+    """Add, for every pixel and position, the texture blurred for their distance: between two levels, linearly.
+
+    Level i is made for the distance ``FARTHEST_UM·(i/(LEVELS - 1))²``, which gives the closed form of ``part``.
+    """
+    rows, columns = light.shape
+    wrap = levels.shape[1] - 1
+    scale = np.float32((LEVELS - 1) ** 2 / FARTHEST_UM)
+    for y in range(rows):
+        for z_um in path_um:
+            for x in range(columns):
+                square = min(abs(z_um - height_um[y, x]) * scale, np.float32((LEVELS - 1) ** 2 - 1))
+                level = int(np.sqrt(square))
+                part = (square - level * level) / np.float32(2 * level + 1)
+                near = np.float32(levels[level, y & wrap, x & wrap])
+                light[y, x] += near + part * (np.float32(levels[level + 1, y & wrap, x & wrap]) - near)
+
+
+@njit(nogil=True, fastmath=True, cache=True)
+def _develop(
+    light: np.ndarray, noise: np.ndarray, offset: np.ndarray, gain: np.float32, full: float, out: np.ndarray
+) -> None:
+    """Turn light into digits; photon noise is normal, which it nearly is from some tens of electrons up."""
+    rows, columns = light.shape
+    wrap = noise.shape[0] - 1
+    shot, read = np.float32(1 / FULL_WELL_E), np.float32((READ_NOISE_E / FULL_WELL_E) ** 2)
+    top = np.float32(full)
+    for y in range(rows):
+        for x in range(columns):
+            signal = gain * light[y, x]
+            noisy = signal + np.sqrt(signal * shot + read) * noise[(y + offset[0]) & wrap, (x + offset[1]) & wrap]
+            out[y, x] = min(max((noisy + np.float32(BLACK_LEVEL)) * top + np.float32(0.5), np.float32(0)), top)
