@@ -15,6 +15,7 @@ from acquire.ring import RingReader, WriterGone
 from acquire.store import RunEnd, open_run
 from devices.clock import SystemClock
 from processing.focus import FocusResult, FocusSweep, compose, focus_stack
+from processing.outputs import about_stack, peak_memory_mb, write_focus_result
 from processing.stack import open_stack
 
 if TYPE_CHECKING:
@@ -112,6 +113,29 @@ class LiveFocus:
         return result
 
 
+def observe(ring: Path, run: Path, out: Path, options: dict[str, Any], ready: Callable[[], None]) -> None:
+    """Measure a run while it is taken and write what ``stereotome process focus`` writes; see `acquire.observe`.
+
+    Parameters
+    ----------
+    ring, run, out : Path
+        The run's ring, its folder, and where the results go.
+    options : dict
+        ``method``: "brightfield" or "confocal".
+    ready : callable
+        As in `follow_run`.
+    """
+    clock = SystemClock()
+    begin_s = clock.now()
+    result, late_s = follow_run(ring, run, method=options.get("method", "brightfield"), ready=ready, clock=clock)
+    measured_s = clock.now() - begin_s
+    wait_for_end(open_run(run), clock)
+    stack = open_stack(run)
+    took = {"seconds": round(measured_s, 3), "seconds_after_last_plane": round(late_s, 3)}
+    facts = {**about_stack(stack), **took, "peak_memory_mb": round(peak_memory_mb(), 1)}
+    write_focus_result(result, out, pixel_um=stack.pixel_um, facts=facts)
+
+
 def follow(reader: RingReader, live: LiveFocus) -> None:
     """Feed frames from the ring until all planes are there or the run gives no more."""
     while not live.complete:
@@ -139,8 +163,8 @@ def from_folder(run: StoredRun, method: Method) -> FocusResult:
 
 
 def follow_run(
-    ring: Path, folder: Path, *, method: Method, ready: Callable[[], None], clock: Clock | None = None
-) -> FocusResult:
+    ring: Path, folder: Path, *, method: Method, ready: Callable[[], None], clock: Clock
+) -> tuple[FocusResult, float]:
     """Measure a run while it is taken.
 
     Parameters
@@ -152,6 +176,11 @@ def follow_run(
     ready : callable
         Called once when frames are being watched and no compiling stands in the way any more.
 
+    Returns
+    -------
+    FocusResult, float
+        What was measured, and how many seconds after the last plane it was ready.
+
     Raises
     ------
     StoreError
@@ -159,17 +188,17 @@ def follow_run(
     InputError
         The run ended without a plane.
     """
-    clock = clock or SystemClock()
     with RingReader.attach(ring, "latest", clock=clock) as reader:
         live = LiveFocus(open_run(folder), method)
         warm(live.run, method)
         ready()
         follow(reader, live)
+    last_s = clock.now()
     result = live.result()
     if result is None:
         wait_for_end(live.run, clock)
         result = from_folder(live.run, method)
-    return result
+    return result, clock.now() - last_s
 
 
 def warm(run: StoredRun, method: Method) -> None:

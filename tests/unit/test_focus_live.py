@@ -1,13 +1,14 @@
 """Live focus through a real ring and a real run folder: complete, in order, and the same bits as the batch."""
 
-import subprocess
-import sys
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 
 from acquire.frame import FrameHeader
+from acquire.observe import Observer
 from acquire.ome_zarr import FocalArray
 from acquire.ring import RingReader, RingWriter
 from acquire.store import RunEnd, RunStore, open_run
@@ -19,15 +20,6 @@ from processing.stack import open_stack
 
 SHAPE = (48, 64)
 PLANES = 9
-WATCHER = """
-import sys
-from pathlib import Path
-import numpy as np
-from processing.live import follow_run
-ring, folder, out, method = sys.argv[1:]
-result = follow_run(Path(ring), Path(folder), method=method, ready=lambda: print("ready", flush=True))
-np.savez(out, range=result.range, focus=result.extended_focus, plane=result.plane, confidence=result.confidence)
-"""
 
 
 def pictures(bands: tuple[int, ...] = ()) -> np.ndarray:
@@ -72,27 +64,23 @@ def from_disk(folder: Path, method: str = "brightfield"):
     return focus_stack(stack, z_um=stack.z_um, method=method, register=False)  # type: ignore[arg-type]
 
 
-def assert_same(found, expected) -> None:
-    np.testing.assert_array_equal(found["range"], expected.range)
-    np.testing.assert_array_equal(found["focus"], expected.extended_focus)
-    np.testing.assert_array_equal(found["plane"], expected.plane)
-    np.testing.assert_array_equal(found["confidence"], expected.confidence)
-
-
 @pytest.mark.parametrize(("method", "bands"), [("brightfield", ()), ("brightfield", (3,)), ("confocal", ())])
-def test_watcher_in_its_own_process_gives_the_same_bits(tmp_path, method, bands):
+def test_observer_writes_what_the_command_writes(tmp_path, method, bands):
     bench = Bench(tmp_path, bands)
-    out = tmp_path / "live.npz"
-    arguments = [str(bench.ring.path), str(bench.folder), str(out), method]
-    with subprocess.Popen([sys.executable, "-c", WATCHER, *arguments], stdout=subprocess.PIPE) as watcher:
-        assert watcher.stdout is not None
-        assert watcher.stdout.readline() == b"ready\n"
-        for k, pixels in enumerate(pictures(bands)):  # at full speed: the watcher overlooks some of them
-            bench.show(k, pixels)
-        bench.end()
-        assert watcher.wait(60) == 0
-    with np.load(out) as found:
-        assert_same(found, from_disk(bench.folder, method))
+    out = bench.folder / "focus"
+    observer = Observer("focus", bench.ring.path, bench.folder, out, {"method": method})
+    assert observer.wait_until_ready(60)
+    for k, pixels in enumerate(pictures(bands)):  # at full speed: the observer overlooks some of them
+        bench.show(k, pixels)
+    bench.end()
+    assert observer.finish(60) == ""
+    expected = from_disk(bench.folder, method)
+    np.testing.assert_array_equal(tifffile.imread(out / "range.tif"), expected.range)
+    np.testing.assert_array_equal(tifffile.imread(out / "confidence.tif"), expected.confidence)
+    np.testing.assert_array_equal(tifffile.imread(out / "extended_focus.tif"), expected.extended_focus)
+    report = json.loads((out / "report.json").read_text())
+    assert report["unit"] == "um"
+    assert report["input"]["planes"] == PLANES
 
 
 def live_on(bench: Bench) -> LiveFocus:
@@ -150,7 +138,7 @@ def test_cancelled_run_is_measured_from_its_folder(tmp_path):
             bench.show(k, pixels)
         bench.end(RunEnd.CANCELLED)
 
-    result = follow_run(path, bench.folder, method="brightfield", ready=cancel)
+    result, _ = follow_run(path, bench.folder, method="brightfield", ready=cancel, clock=SystemClock())
     assert ready
     np.testing.assert_array_equal(result.range, from_disk(bench.folder).range)
 
@@ -158,4 +146,10 @@ def test_cancelled_run_is_measured_from_its_folder(tmp_path):
 def test_run_without_a_plane_is_said(tmp_path):
     bench = Bench(tmp_path)
     with pytest.raises(InputError):
-        follow_run(bench.ring.path, bench.folder, method="confocal", ready=lambda: bench.end(RunEnd.CANCELLED))
+        follow_run(
+            bench.ring.path,
+            bench.folder,
+            method="confocal",
+            ready=lambda: bench.end(RunEnd.CANCELLED),
+            clock=SystemClock(),
+        )
