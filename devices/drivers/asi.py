@@ -154,14 +154,14 @@ def open_stage(table: AxisSpec, context: DeviceContext) -> AsiStage:
         device-missing, device-permission, device-busy; device-silent or device-garbled when no valid answer comes.
     """
     transport: Transport = SerialPort(table.port, table.baud, device="z stage")
-    if context.transcript is not None:
-        transport = Recorder(transport, context.transcript / "stage-z.jsonl", context.clock)
-    link = Link(transport, context.clock, terminator=asi.TERMINATOR, timeout_s=REPLY_TIMEOUT_S)
-    stage = AsiStage(link, table, context.clock)
     try:
+        if context.transcript is not None:
+            transport = Recorder(transport, context.transcript / "stage-z.jsonl", context.clock)
+        link = Link(transport, context.clock, terminator=asi.TERMINATOR, timeout_s=REPLY_TIMEOUT_S)
+        stage = AsiStage(link, table, context.clock)
         _greet(stage, table)
     except BaseException:
-        stage.close()
+        transport.close()
         raise
     return stage
 

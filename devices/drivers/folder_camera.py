@@ -22,9 +22,7 @@ if TYPE_CHECKING:
     from devices.rig import CameraSpec
 
 TIFF = frozenset({".tif", ".tiff"})
-# A JPEG or PNG that was cut off still decodes, to a picture whose lower part is made up; only its end tells.
-END_MARK = {".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9", ".png": b"IEND\xaeB`\x82"}
-END_BYTES = 4096
+SUFFIXES = TIFF | {".png", ".jpg", ".jpeg"}
 
 
 class FolderCamera:
@@ -143,7 +141,7 @@ def find_images(source: Path) -> list[tuple[str, Callable[[], np.ndarray]]]:
 
 
 def _is_image(file: Path) -> bool:
-    return file.suffix.lower() in TIFF | END_MARK.keys() and not file.name.startswith(".")
+    return file.suffix.lower() in SUFFIXES and not file.name.startswith(".")
 
 
 def _natural(file: Path) -> list[tuple[int, str]]:
@@ -161,12 +159,22 @@ def _decode(file: Path) -> np.ndarray:
     if file.suffix.lower() in TIFF:
         return _tiff_page(file, 0, of=1)
     data = file.read_bytes()
-    if END_MARK[file.suffix.lower()] not in data[-END_BYTES:]:
-        raise ValueError("the file is cut off, or is not what its name says")
+    if _is_cut_off(data):
+        raise ValueError("the file is cut off")
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None:
         raise ValueError("it does not decode")
     return _rgb(pixels)
+
+
+def _is_cut_off(data: bytes) -> bool:
+    """Tell whether a JPEG or PNG lacks its end: it would decode all the same, to a picture partly made up.
+
+    In a JPEG the end mark must come after the last start of scan: a preview inside the file has marks of its own.
+    """
+    if data.startswith(b"\xff\xd8"):
+        return data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda")
+    return data.startswith(b"\x89PNG") and b"IEND\xaeB`\x82" not in data
 
 
 def _rgb(pixels: np.ndarray) -> np.ndarray:

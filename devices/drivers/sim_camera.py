@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import mmap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from devices.rig import CameraSpec
 
 ANSWER_S = 5.0
+STAMPED = ("hw_id", "exposure_start_ns", "exposure_end_ns")
 SHORTEST_FRAME_TIMEOUT_S = 1.0
 EXPOSURES_PER_TIMEOUT = 5
 
@@ -49,7 +51,7 @@ class SimCamera:
         try:
             self._caps = _caps(answer["caps"])
             self._slots = _slots(answer["frames"], self._caps)
-        except (KeyError, TypeError, ValueError, OSError) as cause:
+        except (KeyError, TypeError, ValueError, OverflowError, OSError) as cause:
             raise _no_camera(f"{type(cause).__name__}: {cause}", answer) from cause
 
     def caps(self) -> CameraCaps:
@@ -58,6 +60,8 @@ class SimCamera:
 
     def configure(self, *, exposure_ms: float) -> None:
         """Set the exposure; raises `LimitError` with the bench's words when it refuses."""
+        if not 0 < exposure_ms < math.inf:
+            raise LimitError(f"camera: an exposure of {exposure_ms:g} ms is none.")
         try:
             self._ask("configure", ANSWER_S, exposure_ms=exposure_ms)
         except _NotDone as refusal:
@@ -83,10 +87,9 @@ class SimCamera:
         answer = self._ask("trigger", self._timeout_s)
         arrival_ns = int(self._clock.now() * 1e9)
         try:
-            pixels = self._slots[answer["slot"]]
-            times = answer["exposure_start_ns"], answer["exposure_end_ns"]
-            stamp = FrameStamp(arrival_ns, answer["hw_id"], *map(int, times))
-        except (KeyError, TypeError, ValueError, IndexError) as cause:
+            pixels = self._slots[int(answer["slot"])]
+            stamp = FrameStamp(arrival_ns, *(int(answer[key]) for key in STAMPED))
+        except (KeyError, TypeError, ValueError, OverflowError, IndexError) as cause:
             raise _no_camera(f"{type(cause).__name__}: {cause}", answer) from cause
         self._frames_left = None if self._frames_left is None else self._frames_left - 1
         self._sink(pixels, stamp)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import socket
 import threading
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 import pytest
 import tifffile
+from hypothesis import given
+from hypothesis import strategies as st
 
 from devices.clock import SystemClock
 from devices.drivers import folder_camera, opencv_camera, sim_camera
@@ -118,6 +121,31 @@ def test_a_bench_that_is_busy_or_makes_no_sense(frames: dict, answer: dict, code
     assert caught.value.code == code
 
 
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=2) | st.dictionaries(st.sampled_from(sorted(CAPS)), inner, max_size=3),
+)
+
+
+@given(st.data())
+def test_whatever_a_bench_answers_is_a_frame_or_an_error_of_ours(data: st.DataObject):
+    spoilt = data.draw(st.sampled_from(["caps", "frames", "slot", "hw_id", "exposure_end_ns", "id", "ok", "height"]))
+    value = data.draw(JSON)
+    frames = {"path": __file__, "slots": 2, "offset_bytes": 0, "stride_bytes": 24}
+    caps = CAPS | ({"height": value} if spoilt == "height" else {})
+    times = {"slot": 1, "hw_id": 17, "exposure_start_ns": 5, "exposure_end_ns": 6}
+
+    def answer(ask: dict) -> list[dict]:
+        good = {"id": ask["id"], "ok": True, "caps": caps, "frames": frames, **times}
+        return [good | ({} if spoilt == "height" else {spoilt: value})]
+
+    with suppress(StereotomeError):
+        camera = sim_camera.SimCamera(Bench(answer), TickingClock())
+        camera.configure(exposure_ms=5.0)
+        camera.arm(1, lambda pixels, stamp: None)
+        camera.trigger()
+
+
 def test_no_address_and_nobody_there():
     with pytest.raises(RigError, match="needs the address"):
         sim_camera.open_camera(CameraSpec(driver="sim"), DeviceContext(SystemClock()))
@@ -217,6 +245,14 @@ def cut_off(name: str, keep: float):
     return spoil
 
 
+def preview_in_front_of_half(file: Path) -> None:
+    """What a camera writes: a whole small JPEG inside the header of a large one, here cut off."""
+    data = file.read_bytes()
+    whole = cv2.imencode(".jpg", NOISE[::4, ::4])[1].tobytes()
+    header = b"\xff\xe1" + (len(whole) + 2).to_bytes(2, "big") + whole
+    file.write_bytes((data[:2] + header + data[2:])[: len(header) + len(data) // 2])
+
+
 def another(name: str, image: np.ndarray):
     return lambda folder: tifffile.imwrite(folder / name, image)
 
@@ -229,6 +265,7 @@ NOISE = np.random.default_rng(2).integers(0, 255, (40, 50), np.uint8)
     [
         (cut_off("z1.png", 0.6), "z1.png: cannot be read as an image: the file is cut off"),
         (cut_off("z2.jpg", 0.6), "z2.jpg: cannot be read as an image: the file is cut off"),
+        (lambda folder: preview_in_front_of_half(folder / "z2.jpg"), "z2.jpg: cannot be read as an image: the file is"),
         (cut_off("z3.tif", 0.6), "z3.tif: cannot be read as an image"),
         (cut_off("z3.tif", 0.0), "z3.tif: cannot be read as TIFF"),
         (cut_off("z1.png", 0.0), "z1.png: cannot be read as an image"),
@@ -247,6 +284,13 @@ def test_an_image_that_does_not_fit_is_named_before_anything_moves(tmp_path: Pat
     with pytest.raises(InputError) as caught:
         folder_of(tmp_path)
     assert words in caught.value.what
+
+
+def test_a_jpeg_with_something_behind_its_end_is_whole(tmp_path: Path):
+    cv2.imwrite(str(tmp_path / "z.jpg"), NOISE)
+    whole = (tmp_path / "z.jpg").read_bytes()
+    (tmp_path / "z.jpg").write_bytes(whole + b"\0" * 9000)
+    assert taken(folder_of(tmp_path, 10.0)).shape == NOISE.shape
 
 
 def test_a_folder_that_is_empty_missing_or_not_as_the_file_says(tmp_path: Path):

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from devices.errors import MalformedReply, NoReply, Refused
 from devices.link import Link
 from devices.transport.loopback import Loopback
+from devices.transport.transcript import Recorder, Replay
 from devices.wire import asi
 from devices.wire.exchange import Request
 
@@ -174,6 +175,36 @@ def test_any_bytes_decode_or_raise_an_error_of_ours(reply: bytes):
             request.decode(reply)
         except (MalformedReply, Refused):
             continue
+
+
+@given(st.lists(st.integers(1, 9), max_size=8), st.integers(-99999, 99999))
+def test_a_reply_may_come_in_pieces(cuts: list[int], position: int):
+    clock = SteppingClock()
+    peer = LatePeer(clock)
+    rest, delay_s = f":A {position} \r\n".encode(), 0.001
+    pieces = []
+    for cut in [*cuts, 99]:
+        pieces.append((delay_s, rest[:cut]))
+        rest, delay_s = rest[cut:], delay_s + 0.001
+    peer.write = lambda data: peer.under_way.extend(pieces)
+    assert Link(peer, clock, terminator=asi.TERMINATOR).ask(asi.where()) == position
+
+
+@given(exchanges=st.lists(st.tuples(st.binary(min_size=1, max_size=9), st.binary(min_size=1, max_size=9)), max_size=5))
+def test_any_bytes_are_recorded_and_replayed(tmp_path_factory: pytest.TempPathFactory, exchanges: list):
+    path = tmp_path_factory.mktemp("transcript") / "any.jsonl"
+    clock = SteppingClock()
+    replies = iter([reply for _, reply in exchanges])
+    recorder = Recorder(Loopback(lambda data: [next(replies)], clock), path, clock)
+    for sent, reply in exchanges:
+        recorder.write(sent)
+        assert recorder.read(0.1) == reply
+    recorder.close()
+    replay = Replay(path, clock)
+    for sent, reply in exchanges:
+        replay.write(sent)
+        assert replay.read(0.1) == reply
+    assert replay.read(0.1) == b""
 
 
 @given(st.floats(-1e5, 1e5), st.sampled_from(["{:.0f}", "{:.1f}", "{:+.6f}"]), st.sampled_from(["", " "]))
