@@ -18,11 +18,12 @@ from devices.errors import LimitError
 from devices.protocols import Camera
 from devices.registry import DeviceContext
 from devices.rig import CameraSpec
+from devices.values import CameraCaps, FrameStamp, Limits
+from sim.camera import Replay, SimCamera
+from sim.motion import Axis
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from devices.values import FrameStamp
 
 SHAPE = (6, 8)
 
@@ -51,7 +52,14 @@ def of_numbered_images(folder: Path):
     yield opencv_camera.open_camera(CameraSpec(driver="opencv", source=source, exposure_ms=1.0), context())
 
 
-@pytest.fixture(params=[of_a_bench, of_a_folder, of_numbered_images], ids=lambda make: make.__name__)
+def by_itself(folder: Path):
+    clock = SystemClock()
+    caps = CameraCaps("plain", *SHAPE, bands=1, dtype="uint16", bit_depth=12, timed=True)
+    frames = np.arange(1, 4, dtype=np.uint16)[:, None, None] * np.ones(SHAPE, np.uint16)
+    yield SimCamera(Replay(frames, caps), Axis(clock, Limits(-200.0, 200.0)), exposure_ms=1.0)
+
+
+@pytest.fixture(params=[by_itself, of_a_bench, of_a_folder, of_numbered_images], ids=lambda make: make.__name__)
 def camera(request: pytest.FixtureRequest, tmp_path: Path):
     opened = request.param(tmp_path)
     device = next(opened)

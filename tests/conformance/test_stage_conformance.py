@@ -13,12 +13,17 @@ from devices.clock import SystemClock
 from devices.drivers.asi import AsiStage, open_stage
 from devices.errors import LimitError, StageStalled, StageTimeout
 from devices.link import Link
-from devices.protocols import Stage
+from devices.protocols import Clock, Stage
 from devices.registry import DeviceContext
 from devices.rig import AxisSpec
 from devices.transport.loopback import Loopback
 from devices.transport.transcript import Replay
+from devices.values import Limits
 from devices.wire import asi
+from sim.clock import SimClock
+from sim.controllers.asi import Ms2000
+from sim.motion import Axis
+from sim.stage import SimStage
 
 TRANSCRIPT = Path(__file__).parent.parent / "transcripts" / "asi_three_planes.jsonl"
 LIMITS = {"min_um": -500.0, "max_um": 500.0}
@@ -28,24 +33,51 @@ def axis(port: str, **changes: object) -> AxisSpec:
     return AxisSpec.model_validate({"driver": "asi-ms2000", "port": port, "baud": 115200, "limits": LIMITS, **changes})
 
 
-def over_loopback():
+def by_itself():
+    clock = SimClock()
+    yield SimStage(Axis(clock, Limits(**LIMITS))), clock
+
+
+def over_loopback_to_the_small_twin():
     clock = SteppingClock()
-    twin = SmallAxis(clock.now)
-    yield AsiStage(Link(Loopback(twin.feed, clock), clock, terminator=asi.TERMINATOR), axis("loopback"), clock)
+    yield driver(SmallAxis(clock.now), clock), clock
 
 
-def over_pty():
-    with closing(OnPty(SmallAxis(SystemClock().now).feed)) as far:
-        yield open_stage(axis(far.port), DeviceContext(SystemClock()))
+def over_loopback_to_the_bench_s_twin():
+    clock = SimClock()
+    yield driver(Ms2000({"Z": Axis(clock, Limits(**LIMITS))}), clock), clock
 
 
-@pytest.fixture(params=[over_loopback, over_pty], ids=lambda make: make.__name__)
-def stage(request: pytest.FixtureRequest):
+def over_a_pty_to_the_bench_s_twin():
+    clock = SystemClock()
+    with closing(OnPty(Ms2000({"Z": Axis(clock, Limits(**LIMITS))}).feed)) as far:
+        yield open_stage(axis(far.port), DeviceContext(clock)), clock
+
+
+def driver(twin: SmallAxis | Ms2000, clock: Clock) -> AsiStage:
+    return AsiStage(Link(Loopback(twin.feed, clock), clock, terminator=asi.TERMINATOR), axis("loopback"), clock)
+
+
+MAKERS = [
+    by_itself,
+    over_loopback_to_the_small_twin,
+    over_loopback_to_the_bench_s_twin,
+    over_a_pty_to_the_bench_s_twin,
+]
+
+
+@pytest.fixture(params=MAKERS, ids=lambda make: make.__name__)
+def bench(request: pytest.FixtureRequest):
     opened = request.param()
-    device = next(opened)
-    yield device
-    device.close()
+    stage, clock = next(opened)
+    yield stage, clock
+    stage.close()
     assert list(opened) == []
+
+
+@pytest.fixture
+def stage(bench: tuple[Stage, Clock]) -> Stage:
+    return bench[0]
 
 
 def test_it_is_a_stage(stage: Stage):
@@ -73,16 +105,19 @@ def test_without_a_move_it_is_settled_at_once(stage: Stage):
     assert stage.settle(5.0) == stage.position_um()
 
 
-def test_a_halt_stops_it_short_of_the_target_and_it_can_move_again(stage: Stage):
+def test_a_halt_stops_it_short_of_the_target_and_it_can_move_again(bench: tuple[Stage, Clock]):
+    stage, clock = bench
     stage.move_to(-500.0)
     stage.settle(5.0)
     stage.move_to(500.0)
     stage.halt()
-    stopped_um = stage.position_um()
-    assert stopped_um < 499
     with pytest.raises(StageStalled):
         stage.settle(5.0)
-    assert stage.position_um() == stopped_um
+    before_um = math.inf
+    while (stopped_um := stage.position_um()) != before_um:
+        before_um = stopped_um
+        clock.sleep(0.05)
+    assert -500 <= stopped_um < 499
     stage.move_to(-490.0)
     assert stage.settle(5.0) == pytest.approx(-490, abs=0.1)
 
