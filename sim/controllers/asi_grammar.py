@@ -1,4 +1,4 @@
-"""How a line to an ASI controller reads: ``M Z=1234 X``, ``S Z?``, ``\\``, ``WHERE Z``."""
+r"""How a line to an ASI controller reads: ``M Z=1234 X``, ``S Z?``, ``\\``, ``WHERE Z``."""
 
 from __future__ import annotations
 

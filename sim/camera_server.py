@@ -1,0 +1,168 @@
+"""The camera of the bench for other processes: words over TCP, one JSON object a line; pixels over shared memory."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import mmap
+import os
+import socket
+import tempfile
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from devices.errors import LimitError
+from sim.camera import NS, Shutter, check_exposure
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from sim.camera import FrameMaker
+    from sim.faults import Faults
+    from sim.motion import Axis
+
+SHARED_MEMORY = Path("/dev/shm")  # noqa: S108  a file system in memory; the file is made by mkstemp
+SLOTS = 4
+PAGE = mmap.PAGESIZE
+PREFIX = "stereotome-bench-"
+Answer = dict[str, Any]
+
+
+class FrameFile:
+    """Frames in shared memory: ``slots`` of them from the second page on, each on pages of its own.
+
+    The file is locked while its bench lives; one that is not was left behind, and is removed by the next bench.
+    """
+
+    def __init__(self, shape: tuple[int, ...], dtype: str, slots: int = SLOTS) -> None:
+        folder = SHARED_MEMORY if SHARED_MEMORY.is_dir() else Path(tempfile.gettempdir())
+        remove_left_behind(folder)
+        frame_bytes = int(np.prod(shape)) * np.dtype(dtype).itemsize
+        self.stride_bytes = -(-frame_bytes // PAGE) * PAGE
+        self._file, name = tempfile.mkstemp(prefix=f"{PREFIX}{os.getpid()}-", dir=folder)
+        self.path = Path(name)
+        _lock(self._file)
+        size = PAGE + slots * self.stride_bytes
+        os.ftruncate(self._file, size)
+        self._memory = mmap.mmap(self._file, size)
+        self.frames = [np.ndarray(shape, dtype, self._memory, PAGE + slot * self.stride_bytes) for slot in range(slots)]
+
+    def describe(self) -> Answer:
+        """Return what a client needs to find the frames."""
+        slots = len(self.frames)
+        return {"path": str(self.path), "slots": slots, "offset_bytes": PAGE, "stride_bytes": self.stride_bytes}
+
+    def close(self) -> None:
+        """Remove the file; clients keep what they have mapped."""
+        self.path.unlink(missing_ok=True)
+        os.close(self._file)
+
+
+def remove_left_behind(folder: Path) -> None:
+    """Remove the frame files of benches that were killed."""
+    for path in folder.glob(f"{PREFIX}*"):
+        with contextlib.suppress(OSError), path.open("rb+") as file:
+            _lock(file.fileno())
+            path.unlink()
+
+
+def _lock(file: int) -> None:
+    """Lock a file for us; raises OSError when another process has it."""
+    if os.name == "posix":
+        import fcntl  # noqa: PLC0415  there is none on Windows
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+class CameraServer:
+    """Serves one client at a time.
+
+    ``caps``, ``configure``, ``trigger`` are a camera's; ``truth`` tells how far the axis went between two times, so
+    that a test can prove that nothing moved during an exposure.
+    """
+
+    def __init__(self, maker: FrameMaker, axis: Axis, faults: Faults, *, exposure_ms: float) -> None:
+        self._axis = axis
+        self._faults = faults
+        self._caps = maker.caps()
+        self._shutter = Shutter(maker, axis)
+        self._exposure_ms = exposure_ms
+        self._exposed = 0
+        self._frames = FrameFile(self._caps.shape, self._caps.dtype)
+        self._in_use = threading.Lock()
+        self._listener = socket.create_server(("127.0.0.1", 0), backlog=4)
+        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+        self._actions: dict[str, Callable[[Answer], Answer | None]] = {
+            "caps": self._tell_caps,
+            "configure": self._configure,
+            "trigger": self._trigger,
+            "truth": self._truth,
+        }
+
+    def serve(self) -> None:
+        """Accept clients until closed; a second one at a time hears that the camera is busy."""
+        with contextlib.suppress(OSError):
+            while True:
+                connection, _ = self._listener.accept()
+                threading.Thread(target=self._attend, args=[connection], daemon=True).start()
+
+    def close(self) -> None:
+        """Stop accepting, and remove the shared memory."""
+        with contextlib.suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self._frames.close()
+
+    def answer(self, line: bytes) -> Answer | None:
+        """Return the answer to one line; None for silence."""
+        try:
+            asked = json.loads(line)
+            done = self._actions[asked["do"]](asked)
+        except LimitError as error:
+            return {"id": asked["id"], "ok": False, "error": error.what} if "id" in asked else None
+        except (ValueError, TypeError, KeyError) as error:
+            return {"ok": False, "error": f"not understood: {line[:80]!r} ({type(error).__name__})"}
+        return None if done is None else {"id": asked.get("id"), "ok": True, **done}
+
+    def _attend(self, connection: socket.socket) -> None:
+        with contextlib.suppress(OSError), connection:
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if not self._in_use.acquire(blocking=False):
+                connection.sendall(b'{"ok":false,"error":"busy"}\n')
+                return
+            try:
+                self._converse(connection)
+            finally:
+                self._in_use.release()
+
+    def _converse(self, connection: socket.socket) -> None:
+        for line in connection.makefile("rb"):
+            answer = self.answer(line)
+            if answer is not None:
+                connection.sendall(json.dumps(answer).encode() + b"\n")
+
+    def _tell_caps(self, _asked: Answer) -> Answer:
+        caps = self._caps
+        told = {"name": caps.name, "height": caps.height, "width": caps.width, "bands": caps.bands}
+        return {"caps": {**told, "dtype": caps.dtype, "bit_depth": caps.bit_depth}, "frames": self._frames.describe()}
+
+    def _configure(self, asked: Answer) -> Answer:
+        exposure_ms = float(asked["exposure_ms"])
+        check_exposure(exposure_ms)
+        self._exposure_ms = exposure_ms
+        return {}
+
+    def _trigger(self, _asked: Answer) -> Answer | None:
+        slot = self._exposed % SLOTS
+        start_ns, end_ns = self._shutter.expose(self._exposure_ms, self._frames.frames[slot])
+        self._exposed += 1
+        if self._faults.strike("camera"):
+            return None
+        return {"slot": slot, "hw_id": self._exposed, "exposure_start_ns": start_ns, "exposure_end_ns": end_ns}
+
+    def _truth(self, asked: Answer) -> Answer:
+        path_um = self._axis.path_um(asked["start_ns"] / NS, asked["end_ns"] / NS)
+        return {"z_min_um": float(path_um.min()), "z_max_um": float(path_um.max())}

@@ -1,0 +1,119 @@
+"""The command ``stereotome sim serve``: the simulated bench as a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from devices.clock import SystemClock
+from devices.rig import load_rig
+from sim.bench import build_bench, instrument_text
+from sim.camera_server import CameraServer
+from sim.faults import Faults, FaultyTwin, parse_faults
+from sim.stage_line import StageLine
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from sim.bench import Bench
+
+DEFAULT_INSTRUMENT = Path(__file__).with_name("default_instrument.toml")
+
+
+def serve(
+    instrument: Path = DEFAULT_INSTRUMENT,
+    *,
+    folder: Annotated[Path | None, Parameter(name="--dir")] = None,
+    fault: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    tcp: Annotated[bool, Parameter(negative="")] = False,
+    follow_stdin: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Simulate a bench until stopped: a stage on a serial line and a camera over a specimen with a known relief.
+
+    Prints one line of JSON that names the instrument file to use with other commands, and serves until Ctrl-C.
+
+    Parameters
+    ----------
+    instrument
+        The instrument file to stand in for; without it a 20x/0.45 bench of 512 x 512 pixels.
+    folder
+        Where to write instrument.toml and truth.npz; without it a new one, removed at the end.
+    fault
+        Something that goes wrong, such as z.silent, z.late@3, z.garble@10%, z.die@5, z.stall@12.5um, camera.drop@2.
+    tcp
+        Connect the instrument file to the TCP port of the stage instead of its pseudo-terminal.
+    follow_stdin
+        End also when standard input ends, so as never to outlive the program that started this one.
+    """
+    spec = load_rig(instrument)
+    faults = Faults(parse_faults((*spec.sim.faults, *fault)), SystemClock(), seed=spec.sim.seed)
+    bench = build_bench(spec, SystemClock())
+    if faults.stall_um is not None:
+        bench.axis.obstruct(faults.stall_um)
+    with ExitStack() as cleanup:
+        told = _start(bench, faults, _folder(folder, cleanup), cleanup, tcp=tcp)
+        sys.stdout.write(f"{json.dumps(told)}\n")
+        sys.stdout.flush()
+        return _wait(follow_stdin=follow_stdin)
+
+
+def _start(bench: Bench, faults: Faults, folder: Path, cleanup: ExitStack, *, tcp: bool) -> dict[str, object]:
+    """Open the ports, write the files, start to serve, and return what the starter wants to know."""
+    line = StageLine(FaultyTwin(bench.twin.feed, faults).feed, bench.spec.stage.z.baud, bench.axis.clock)
+    cleanup.callback(line.close)
+    camera = CameraServer(bench.sensor, bench.axis, faults, exposure_ms=bench.spec.camera.exposure_ms)
+    cleanup.callback(camera.close)
+    stage = line.tcp_url if tcp or line.pty_path is None else line.pty_path
+    truth, instrument = folder / "truth.npz", folder / "instrument.toml"
+    bench.specimen.save_truth(truth)
+    instrument.write_text(instrument_text(bench, camera=camera.address, stage=stage), encoding="utf-8")
+    _in_threads(line.serve_pty, line.serve_tcp, camera.serve)
+    return {
+        "instrument": str(instrument),
+        "stage_pty": line.pty_path,
+        "stage_tcp": line.tcp_url,
+        "camera": camera.address,
+        "truth": str(truth),
+        "pid": os.getpid(),
+    }
+
+
+def _in_threads(*serving: Callable[[], None]) -> None:
+    for function in serving:
+        Thread(target=function, daemon=True).start()
+
+
+def _folder(given: Path | None, cleanup: ExitStack) -> Path:
+    if given is not None:
+        given.mkdir(parents=True, exist_ok=True)
+        return given.absolute()
+    made = Path(tempfile.mkdtemp(prefix="stereotome-bench-"))
+    cleanup.callback(shutil.rmtree, made, ignore_errors=True)
+    return made
+
+
+def _wait(*, follow_stdin: bool) -> int:
+    """Wait for Ctrl-C or, if asked, for the end of standard input; SIGTERM leaves by an exception of its own."""
+    ended = Event()
+    if follow_stdin:
+        Thread(target=_until_stdin_ends, args=[ended], daemon=True).start()
+    try:
+        ended.wait()
+    except KeyboardInterrupt:
+        return 0
+    return 0
+
+
+def _until_stdin_ends(ended: Event) -> None:
+    while os.read(sys.stdin.fileno(), 4096):
+        pass
+    ended.set()

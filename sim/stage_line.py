@@ -1,0 +1,183 @@
+"""The twin of the stage's controller on real wires: a pseudo-terminal and a TCP port, paced like a serial line."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+from bisect import bisect_right
+from typing import TYPE_CHECKING, Protocol
+
+from sim.faults import PortDied
+from sim.uart import as_heard, byte_times_s
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from devices.protocols import Clock
+    from sim.faults import Delayed
+
+CHUNK = 4096
+MISHEARD = b":N-1 \r\n"
+
+
+class Channel(Protocol):
+    """One way for bytes to a client and back."""
+
+    def read(self) -> bytes:
+        """Wait for bytes; none means that the client left."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``."""
+        ...
+
+    def client_baud(self) -> int | None:
+        """Return the baud at which the client listens, None where there is no such thing."""
+        ...
+
+
+class PtyChannel:
+    """The master's end of a pseudo-terminal; ``path`` is what a client opens.
+
+    Our own hold on the slave keeps the terminal alive while no client has it open. Both ends are raw: a fresh
+    terminal would echo, and turn CR into LF.
+    """
+
+    def __init__(self, baud: int) -> None:
+        import termios  # noqa: PLC0415  there are no terminals on Windows
+        import tty  # noqa: PLC0415
+
+        self._master, self._slave = os.openpty()
+        self._rates = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[1:].isdigit()}
+        self._tcgetattr = termios.tcgetattr
+        self.path = os.ttyname(self._slave)
+        tty.setraw(self._master)
+        tty.setraw(self._slave)
+        codes = {rate: code for code, rate in self._rates.items()}
+        if baud in codes:
+            attributes = termios.tcgetattr(self._slave)
+            attributes[4] = attributes[5] = codes[baud]
+            termios.tcsetattr(self._slave, termios.TCSANOW, attributes)
+
+    def read(self) -> bytes:
+        """Wait for bytes; none means that the terminal was closed."""
+        try:
+            return os.read(self._master, CHUNK)
+        except OSError:
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``."""
+        while data:
+            data = data[os.write(self._master, data) :]
+
+    def client_baud(self) -> int | None:
+        """Return the speed the slave is set to; None for one without a name."""
+        return self._rates.get(self._tcgetattr(self._slave)[5])
+
+    def close(self) -> None:
+        """Hang up: a client sees its port vanish."""
+        for end in (self._master, self._slave):
+            os.close(end)
+
+
+class SocketChannel:
+    """A client of the TCP port."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._connection = connection
+
+    def read(self) -> bytes:
+        """Wait for bytes; none means that the client left."""
+        try:
+            return self._connection.recv(CHUNK)
+        except OSError:
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``; to nobody when the client has just left."""
+        with contextlib.suppress(OSError):
+            self._connection.sendall(data)
+
+    def client_baud(self) -> int | None:
+        """Return None: a socket has no baud."""
+        return None
+
+
+def converse(channel: Channel, feed: Callable[[bytes], list[Delayed]], baud: int, clock: Clock) -> None:
+    """Answer a client until it leaves; bytes take as long as at ``baud``, in both directions.
+
+    Raises
+    ------
+    PortDied
+        A fault ends the line.
+    """
+    while data := channel.read():
+        clock.sleep(byte_times_s(len(data), baud, 0.0)[-1])
+        client_baud = channel.client_baud()
+        if client_baud not in (None, baud):
+            channel.write(as_heard(MISHEARD, baud, client_baud or baud))
+            continue
+        for reply in feed(data):
+            clock.sleep(reply.delay_s)
+            send_paced(channel, reply.data, baud, clock)
+
+
+def send_paced(channel: Channel, data: bytes, baud: int, clock: Clock) -> None:
+    """Send each byte when a wire of this baud would have brought it."""
+    times_s, sent = byte_times_s(len(data), baud, clock.now()), 0
+    while sent < len(data):
+        clock.sleep(times_s[sent] - clock.now())
+        due = max(bisect_right(times_s, clock.now()), sent + 1)
+        channel.write(data[sent:due])
+        sent = due
+
+
+class StageLine:
+    """The controller on its wires; `serve_pty` and `serve_tcp` each want a thread of their own."""
+
+    def __init__(self, feed: Callable[[bytes], list[Delayed]], baud: int, clock: Clock) -> None:
+        self._feed = feed
+        self._baud = baud
+        self._clock = clock
+        self._connection: socket.socket | None = None
+        self._listener = socket.create_server(("127.0.0.1", 0), backlog=1)
+        self.tcp_url = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
+        self._pty = PtyChannel(baud) if hasattr(os, "openpty") else None
+        self.pty_path = self._pty.path if self._pty else None
+
+    def serve_pty(self) -> None:
+        """Answer on the pseudo-terminal until the end."""
+        if self._pty is not None:
+            self._converse(self._pty)
+
+    def serve_tcp(self) -> None:
+        """Answer one TCP client after the other."""
+        with contextlib.suppress(OSError):
+            while True:
+                self._connection, _ = self._listener.accept()
+                with self._connection:
+                    self._converse(SocketChannel(self._connection))
+
+    def close(self) -> None:
+        """Close all ports: clients see them vanish."""
+        _shut(self._listener)
+        if self._connection is not None:
+            _shut(self._connection)
+        pty, self._pty = self._pty, None
+        if pty is not None:
+            pty.close()
+
+    def _converse(self, channel: Channel) -> None:
+        try:
+            converse(channel, self._feed, self._baud, self._clock)
+        except PortDied:
+            self.close()
+
+
+def _shut(connection: socket.socket) -> None:
+    with contextlib.suppress(OSError):
+        connection.shutdown(socket.SHUT_RDWR)
+    connection.close()
