@@ -23,6 +23,7 @@ MARGINS_INCH = (2.2, 1.3)  # for the scales and the colour bar, and for title an
 STRETCH_PERCENT = (0.1, 99.9)
 LIMITS_PERCENT = (0.5, 99.5)
 CAPTION_PX = 22
+PALEST = 0.2
 RANGE_COLOURS, CONFIDENCE_COLOURS = "viridis", "magma"  # both rise evenly in lightness
 
 
@@ -40,7 +41,7 @@ def preview(image: Array) -> Picture:
         return np.asarray(image, np.uint8)
     low, high = np.percentile(image, STRETCH_PERCENT)
     stretched = (image.astype(np.float32) - low) * (255.0 / max(high - low, 1.0))
-    return np.rint(np.clip(stretched, 0, 255)).astype(np.uint8)
+    return np.asarray(np.rint(np.clip(stretched, 0, 255)), np.uint8)
 
 
 def shown_limits(values: Array, trusted: NDArray[np.bool_] | None = None) -> tuple[float, float]:
@@ -51,7 +52,7 @@ def shown_limits(values: Array, trusted: NDArray[np.bool_] | None = None) -> tup
 
 
 def range_map(values: Array, confidence: Array, confident: float, unit: str, pixel_um: float | None) -> Picture:
-    """Draw a range image with a colour bar.
+    """Draw a range image with a colour bar; the less sure a pixel, the paler.
 
     Parameters
     ----------
@@ -72,19 +73,27 @@ def range_map(values: Array, confidence: Array, confident: float, unit: str, pix
     low, high = shown_limits(values, confidence >= confident)
     word = "µm" if unit == "um" else "planes counted from 0"
     share = float(np.mean(confidence >= confident))
-    title = f"Range {low:.4g} … {high:.4g} {'µm' if unit == 'um' else 'planes'}; {share:.0%} of pixels are sure"
-    return draw_map(values, (low, high), MapWords(title, f"range, {word}"), RANGE_COLOURS, pixel_um)
+    title = f"Range {low:.4g} … {high:.4g} {'µm' if unit == 'um' else 'planes'}; sure in {share:.0%}, pale elsewhere"
+    opaque = np.clip(confidence / confident, PALEST, 1.0)
+    return draw_map(values, (low, high), MapWords(title, f"range, {word}"), RANGE_COLOURS, pixel_um, opaque)
 
 
 def confidence_map(confidence: Array, confident: float, pixel_um: float | None) -> Picture:
     """Draw how sure a range image is; colours as in `range_map`."""
     high = max(float(np.percentile(confidence, LIMITS_PERCENT[1])), confident)
-    words = MapWords(f"Confidence of the range; sure from {confident:g}", "(max - mean) / mean of the sharpness")
+    words = MapWords(
+        f"Confidence of the range; sure from {confident:g}", "confidence: height of the peak over the mean"
+    )
     return draw_map(confidence, (0.0, high), words, CONFIDENCE_COLOURS, pixel_um)
 
 
 def draw_map(
-    values: Array, limits: tuple[float, float], words: MapWords, colours: str, pixel_um: float | None
+    values: Array,
+    limits: tuple[float, float],
+    words: MapWords,
+    colours: str,
+    pixel_um: float | None,
+    opaque: Array | float = 1.0,
 ) -> Picture:
     """Draw values as colours, with scales along the sides and a colour bar; returns RGB, (h, w, 3) uint8."""
     height, width = values.shape
@@ -94,7 +103,7 @@ def draw_map(
     axes = figure.add_subplot()
     pixel = pixel_um or 1.0
     extent = (0.0, width * pixel, height * pixel, 0.0)
-    image = axes.imshow(values, cmap=colours, vmin=limits[0], vmax=limits[1], extent=extent)
+    image = axes.imshow(values, cmap=colours, vmin=limits[0], vmax=limits[1], extent=extent, alpha=opaque)
     _label(axes, words.title, "µm" if pixel_um else "pixels")
     figure.colorbar(image, label=words.bar, extend="both")
     return _drawn(figure)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 FULL_SCALE = 65535
+PIXEL_UM = (5e-5, 1e5)  # half an ångström to a tenth of a metre
 CAMERA_TYPES = (np.dtype(np.uint8), np.dtype(np.uint16))
 
 
@@ -123,7 +124,7 @@ def open_stack(path: Path | str, *, step_um: float | None = None, channel: int |
         The input is missing, damaged, of an unknown kind, not one stack, or its spacing makes no sense.
     """
     source = Path(path)
-    recording = camera_depth(read_any(source, Choice(channel, time)))
+    recording = plausible_pixel(camera_depth(read_any(source, Choice(channel, time))))
     z_um, said = positions(recording, step_um)
     recording = replace(recording, notes=(*recording.notes, *said))
     return _in_order(source, recording, z_um)
@@ -188,6 +189,15 @@ def _overruled(recording: Recording, step_um: float) -> list[str]:
     if known is None or math.isclose(abs(known), step_um, rel_tol=1e-3):
         return []
     return [f"--step-um {step_um:g} goes before the {abs(known):g} µm the file says."]
+
+
+def plausible_pixel(recording: Recording) -> Recording:
+    """Drop a pixel size no microscope has: files name a unit and mean another one, or give 0."""
+    size = recording.pixel_um
+    if size is None or PIXEL_UM[0] <= size <= PIXEL_UM[1]:
+        return recording
+    said = f"the file gives a pixel size of {size:g} µm, which cannot be: lengths along x and y are in pixels."
+    return replace(recording, pixel_um=None, notes=(*recording.notes, said))
 
 
 def checked_step(step_um: float, origin: str) -> float:
