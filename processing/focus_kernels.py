@@ -32,23 +32,25 @@ def compiled(function: Function) -> Function:
 def row_gradient(above: Array, row: Array, below: Array, step: int, smooth: Array, change: Array) -> None:
     """Smooth and differentiate across three rows; ``smooth`` and ``change`` carry ``step`` replicated ends."""
     n = row.size
+    smooth_row, change_row = smooth[step : step + n], change[step : step + n]
     for j in range(n):
-        up, down = np.float32(above[j]), np.float32(below[j])
-        middle = np.float32(row[j])
-        smooth[j + step] = up + middle + middle + down
-        change[j + step] = down - up
-    for j in range(step):
-        smooth[j], change[j] = smooth[j + step], change[j + step]
-        smooth[n + step + j], change[n + step + j] = smooth[n + j], change[n + j]
+        up, middle, down = np.float32(above[j]), np.float32(row[j]), np.float32(below[j])
+        smooth_row[j] = up + middle + middle + down
+        change_row[j] = down - up
+    for ends in (smooth, change):
+        ends[:step] = ends[step : 2 * step]
+        ends[step + n :] = ends[n : step + n]
 
 
 @compiled
 def add_squares(smooth: Array, change: Array, step: int, energy: Array) -> None:
     """Add the squared Sobel gradient of one row to ``energy``."""
-    for j in range(smooth.size - 2 * step):
-        middle = change[j + step]
-        across = smooth[j + 2 * step] - smooth[j]
-        along = change[j] + middle + middle + change[j + 2 * step]
+    n = smooth.size - 2 * step
+    left, right = smooth[:n], smooth[2 * step :]
+    before, here, after = change[:n], change[step : step + n], change[2 * step :]
+    for j in range(n):  # slices, not shifted indices: the compiler makes vector instructions of these alone
+        across = right[j] - left[j]
+        along = before[j] + here[j] + here[j] + after[j]
         energy[j] += across * across + along * along
 
 
