@@ -138,6 +138,7 @@ class FocusSweep:
     def add(self, plane: Array) -> None:
         """Take the next plane, (height, width) or (height, width, 3), uint8 or uint16."""
         check_plane(plane, self.shape)
+        plane = read_only(plane)
         self.noise = min(self.noise, plane_noise(plane))
         if self.method == "confocal":
             self._add_brightness(plane)
@@ -155,7 +156,7 @@ class FocusSweep:
         if not self._windows:
             self._make_windows()
         bands = 1 if plane.ndim == 2 else plane.shape[2]
-        gradient_energy(np.ascontiguousarray(plane).reshape(plane.shape[0], -1), bands, self._energy[0])
+        gradient_energy(plane.reshape(plane.shape[0], -1), bands, self._energy[0])
         for energy, window, coarser in zip(self._energy, self._windows, [*self._energy[1:], None], strict=True):
             smooth = cv2.sepFilter2D(energy, -1, BINOMIAL, BINOMIAL, borderType=cv2.BORDER_REPLICATE)
             window.add(smooth, self.count)
@@ -237,7 +238,7 @@ def gather(planes: Iterable[Array], image: RangeImage, reach: float) -> Array:
     bounds = block_bounds(position, image.z, reach)
     sums = out = np.empty((0, 0), np.float32)
     for k, plane in enumerate(planes):
-        pixels = plane.reshape(position.size, -1)
+        pixels = read_only(plane).reshape(position.size, -1)
         if not k:
             sums = np.zeros((pixels.shape[0], pixels.shape[1] + 1), np.float32)
             out = np.empty_like(plane)
@@ -408,9 +409,16 @@ def check_plane(plane: Array, shape: tuple[int, int]) -> None:
 def brightness(plane: Array) -> tuple[Array, int]:
     """Return grey values or luminance with their gain: 8-bit colours are weighed in 16 bit, so faint blue counts."""
     if plane.ndim == 2:
-        return np.ascontiguousarray(plane), 1
+        return plane, 1
     gain = 256 if plane.dtype == np.uint8 else 1
-    return cv2.cvtColor(plane.astype(np.uint16) * np.uint16(gain), cv2.COLOR_RGB2GRAY), gain
+    return read_only(cv2.cvtColor(plane.astype(np.uint16) * np.uint16(gain), cv2.COLOR_RGB2GRAY)), gain
+
+
+def read_only(plane: Array) -> Array:
+    """Return a contiguous view that cannot be written: one type of array, so every kernel is compiled once."""
+    view = np.ascontiguousarray(plane).view()
+    view.flags.writeable = False
+    return view
 
 
 def plane_noise(plane: Array) -> float:

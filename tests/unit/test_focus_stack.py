@@ -6,6 +6,7 @@ import pytest
 
 from devices.errors import InputError
 from processing.focus import FocusSweep, focus_stack
+from processing.focus_kernels import gradient_energy
 
 SHAPE = (96, 128)
 PLANES = 24
@@ -115,3 +116,24 @@ def test_tiny_planes_are_measured_without_registration(shape, register):
     assert result.extended_focus.shape == shape
     assert not result.parameters["registration"]["applied"]
     assert np.isfinite(result.range).all()
+
+
+def test_surface_outside_the_stack_is_flagged():
+    planes, truth = tilted_stack(np.arange(12, PLANES))
+    sweep = FocusSweep(SHAPE)
+    for plane in planes:
+        sweep.add(plane)
+    image = sweep.finish()
+    assert image.edge[:, :40].mean() > 0.95  # there the surface lies below the first plane
+    assert not image.edge[:, 100:].any()
+    assert truth[0, 40] < 12 < truth[0, 100]
+
+
+def test_planes_that_cannot_be_written_need_no_other_kernels():
+    planes, _ = tilted_stack(np.arange(PLANES))
+    focus_stack(planes)
+    compiled = len(gradient_energy.signatures)  # type: ignore[attr-defined]
+    for plane in planes:
+        plane.setflags(write=False)
+    focus_stack(planes)
+    assert len(gradient_energy.signatures) == compiled  # type: ignore[attr-defined]
