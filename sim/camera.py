@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from devices.errors import LimitError
+from devices.errors import DeviceError, LimitError
 from devices.values import FrameStamp
 
 if TYPE_CHECKING:
@@ -120,9 +120,9 @@ class SimCamera:
         self._frames_left = float("inf") if frames is None else frames
 
     def trigger(self) -> None:
-        """Expose a frame and deliver it; does nothing when not armed."""
+        """Expose a frame and deliver it; raises `DeviceError` when not armed for it."""
         if self._sink is None or self._frames_left < 1:
-            return
+            raise DeviceError("camera: triggered without being armed for another frame.")
         start_ns, end_ns = self._shutter.expose(self._exposure_ms, self._pixels)
         self._frames_left -= 1
         self._exposed += 1

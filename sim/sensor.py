@@ -47,6 +47,7 @@ class Sensor:
         self._rng = np.random.default_rng(seed)
         self._noise = self._rng.standard_normal((NOISE_TILE, NOISE_TILE), np.float32)
         self._bit_depth = bit_depth
+        self.expose(np.zeros(1), exposure_ms, np.empty(self._shape, self.caps().dtype))  # compiles, once for all
 
     def caps(self) -> CameraCaps:
         """Return the shape and type of frames."""
@@ -77,19 +78,25 @@ class Sensor:
 def _add_light(light: np.ndarray, height_um: np.ndarray, levels: np.ndarray, path_um: np.ndarray) -> None:
     """Add, for every pixel and position, the texture blurred for their distance: between two levels, linearly.
 
-    Level i is made for the distance ``FARTHEST_UM·(i/(LEVELS - 1))²``, which gives the closed form of ``part``.
+    Level i is made for the distance ``FARTHEST_UM·(i/(LEVELS - 1))²``, which gives the closed form of ``part``. Where
+    to look is computed for a whole row before anything is looked up: the first is done in vectors, the second cannot.
     """
     rows, columns = light.shape
-    wrap = levels.shape[1] - 1
-    scale = np.float32((LEVELS - 1) ** 2 / FARTHEST_UM)
+    wrap, plane = np.int32(levels.shape[1] - 1), np.int32(levels.shape[1] * levels.shape[2])
+    scale, last = np.float32((LEVELS - 1) ** 2 / FARTHEST_UM), np.float32((LEVELS - 1) ** 2 - 1)
+    flat = levels.reshape(-1)
+    near, part = np.empty(columns, np.int32), np.empty(columns, np.float32)
     for y in range(rows):
+        row = np.int32(y & wrap) * np.int32(levels.shape[2])
         for z_um in path_um:
             for x in range(columns):
-                square = min(abs(z_um - height_um[y, x]) * scale, np.float32((LEVELS - 1) ** 2 - 1))
-                level = int(np.sqrt(square))
-                part = (square - level * level) / np.float32(2 * level + 1)
-                near = np.float32(levels[level, y & wrap, x & wrap])
-                light[y, x] += near + part * (np.float32(levels[level + 1, y & wrap, x & wrap]) - near)
+                square = min(abs(z_um - height_um[y, x]) * scale, last)
+                level = np.int32(np.sqrt(square))
+                part[x] = (square - np.float32(level * level)) / np.float32(2 * level + 1)
+                near[x] = level * plane + row + (np.int32(x) & wrap)
+            for x in range(columns):
+                nearer = np.float32(flat[near[x]])
+                light[y, x] += nearer + part[x] * (np.float32(flat[near[x] + plane]) - nearer)
 
 
 @njit(nogil=True, fastmath=True, cache=True)

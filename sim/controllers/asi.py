@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 UM_PER_MM = 1000.0
 AT_LIMIT_UM = 0.05
+SHORTEST_RAMP_MS, LONGEST_RAMP_MS = 1.0, 32767.0
 FLUSHES = frozenset(b"\x08\x7f")
 CONTROL = 0xFF
 BUILD = "STD_XYZ"
@@ -189,8 +190,8 @@ class Ms2000:
 
     def _where(self, command: Command) -> str:
         asked = {word.letter for word in self._addressed(command)}
-        told = [f"{self._coordinate_um(letter) * UNITS_PER_UM:.0f}" for letter in self._axes if letter in asked]
-        return f":A {' '.join(told)} ".replace(" -0 ", " 0 ")
+        told = [round(self._coordinate_um(letter) * UNITS_PER_UM) for letter in self._axes if letter in asked]
+        return f":A {' '.join(map(str, told))} "
 
     def _here(self, command: Command) -> str:
         for word in self._addressed(command):
@@ -279,7 +280,7 @@ class Ms2000:
         if name == "S":
             axis.set_speed(word.number * UM_PER_MM)
         elif name == "AC":
-            axis.ramp_s = max(word.number, 1.0) / 1000
+            axis.ramp_s = min(max(word.number, SHORTEST_RAMP_MS), LONGEST_RAMP_MS) / 1000
         elif name == "SL":
             axis.limits = Limits(here_um, axis.limits.max_um)
         elif name == "SU":

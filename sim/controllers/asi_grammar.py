@@ -38,6 +38,7 @@ LONG_NAMES = {
     "WHERE": "W",
     "ZERO": "Z",
 }
+LARGEST_NUMBER = 1e9
 _LINE = re.compile(r"\s*([\\/!]|[A-Z][A-Z0-9]*)\s*(.*?)\s*")
 _WORD = re.compile(r"([A-Z])\s*(?:=\s*([-+]?(?:\d+\.?\d*|\.\d+))|([?+-]))?(?=\s|$)\s*")
 
@@ -104,6 +105,13 @@ def _words(rest: str) -> list[Word]:
         if found is None:
             raise Nack(OUT_OF_RANGE)
         letter, value, mark = found.groups()
-        words.append(Word(letter, None if value is None else float(value), mark or ""))
+        words.append(Word(letter, None if value is None else _number(value), mark or ""))
         at = found.end()
     return words
+
+
+def _number(text: str) -> float:
+    number = float(text)
+    if abs(number) > LARGEST_NUMBER:
+        raise Nack(OUT_OF_RANGE)
+    return number
