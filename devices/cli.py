@@ -15,6 +15,7 @@ import tempfile
 import traceback
 from datetime import UTC, datetime
 from importlib.metadata import entry_points, version
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -47,6 +48,8 @@ USAGE, INTERRUPTED = 2, 130
 def main() -> NoReturn:
     """Run the program with the arguments of the command line and leave with its exit code."""
     signal.signal(signal.SIGTERM, _leave)
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a terminal without a µ is no reason to stop
     logging.getLogger().addHandler(logging.NullHandler())  # or Python prints stray warnings of libraries to the user
     sys.exit(run(sys.argv[1:]))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from threading import Event, Thread
 from typing import TYPE_CHECKING
 
@@ -75,6 +76,7 @@ class OpenCvCamera:
         """Deliver a number of frames to ``sink``, from now on, as they arrive."""
         self.stop(timeout_s=1.0)
         self._ending.clear()
+        self._failure = None
         self._thread = Thread(target=self._deliver, args=(frames, sink), name="opencv-camera", daemon=True)
         self._thread.start()
 
@@ -152,6 +154,8 @@ def _opened(spec: CameraSpec) -> cv2.VideoCapture:
     )  # OpenCV prints its own account of every failure; ours is enough
     if "%" in source:
         capture = cv2.VideoCapture(source, cv2.CAP_IMAGES)
+    elif source.startswith("/dev/"):
+        capture = cv2.VideoCapture(str(Path(source).resolve()))  # a name by-id is a link, which OpenCV does not follow
     else:
         capture = cv2.VideoCapture(int(source) if source.isdigit() else source)
     if not capture.isOpened():

@@ -65,7 +65,7 @@ class SimCamera:
         try:
             self._ask("configure", ANSWER_S, exposure_ms=exposure_ms)
         except _NotDone as refusal:
-            raise LimitError(f"camera: exposure of {exposure_ms:g} ms refused: {refusal.what}") from refusal
+            raise LimitError(refusal.what) from refusal
         self._timeout_s = max(SHORTEST_FRAME_TIMEOUT_S, EXPOSURES_PER_TIMEOUT * exposure_ms / 1000)
 
     def arm(self, frames: int | None, sink: FrameSink) -> None:
@@ -148,7 +148,7 @@ class _NotDone(DeviceError):
 def _done(answer: dict[str, Any]) -> dict[str, Any]:
     if answer.get("ok") is True:
         return answer
-    error = str(answer.get("error", answer))
+    error = str(answer.get("error", answer)).removeprefix("camera: ")
     if error == "busy":
         raise DeviceBusy(
             "camera: another program uses the camera of this bench.",

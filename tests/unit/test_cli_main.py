@@ -130,6 +130,15 @@ def test_a_reader_that_leaves_is_no_error():
         assert program.stderr.read() == b""
 
 
+MICRO = "from devices import cli; cli.run = lambda arguments: print('5 µm'); cli.main()"
+
+
+def test_a_terminal_without_our_signs_gets_the_rest():
+    plain = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([sys.executable, "-c", MICRO], capture_output=True, timeout=60, env=plain)
+    assert (done.returncode, done.stdout, done.stderr) == (0, b"5 ?m\n", b"")
+
+
 def stereotome(*arguments: str) -> subprocess.CompletedProcess:
     return subprocess.run(
         [Path(sys.executable).with_name("stereotome"), *arguments], capture_output=True, text=True, timeout=60

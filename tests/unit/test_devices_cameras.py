@@ -16,13 +16,15 @@ from hypothesis import strategies as st
 
 from devices.clock import SystemClock
 from devices.drivers import folder_camera, opencv_camera, sim_camera
-from devices.errors import DeviceError, InputError, LinkLost, RigError, StereotomeError
+from devices.errors import CameraTimeout, DeviceError, InputError, LimitError, LinkLost, RigError, StereotomeError
 from devices.registry import DeviceContext
 from devices.rig import CameraSpec
 from devices.transport.json_lines import JsonLines
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from devices.values import FrameStamp
 
 
 class Bench:
@@ -332,3 +334,80 @@ def test_a_size_the_camera_does_not_have(tmp_path: Path):
     spec = CameraSpec(driver="opencv", source=str(tmp_path / "z%d.tif"), size_px=(640, 480))
     with pytest.raises(RigError, match=r"gives 50 x 40 px, but size_px is \[640, 480\]"):
         opencv_camera.open_camera(spec, DeviceContext(SystemClock()))
+
+
+class UsbCamera:
+    """Stands in for `cv2.VideoCapture` on a device: a picture each time it is let, then none."""
+
+    settable = True
+
+    def __init__(self, source: object) -> None:
+        self.source = source
+        self.values: dict[int, float] = {}
+        self.pictures = threading.Semaphore(1)
+        self.gone = False
+
+    def isOpened(self) -> bool:  # noqa: N802  OpenCV's name
+        return True
+
+    def read(self) -> tuple[bool, np.ndarray]:
+        self.pictures.acquire()
+        return not self.gone, np.full((4, 5, 3), (1, 2, 3), np.uint8)
+
+    def set(self, name: int, value: float) -> bool:
+        self.values[name] = value
+        return self.settable
+
+    def get(self, name: int) -> float:
+        return {cv2.CAP_PROP_FPS: 25.0}.get(name, 0.0)
+
+    def release(self) -> None: ...
+
+
+@pytest.fixture
+def usb(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(cv2, "VideoCapture", UsbCamera)
+    spec = CameraSpec(driver="opencv", source="3", size_px=(5, 4))
+    camera = opencv_camera.open_camera(spec, DeviceContext(SystemClock()))
+    yield camera, camera._capture
+    camera._capture.pictures.release(9)
+    camera.close()
+
+
+def test_a_usb_camera_is_set_up_by_hand_and_says_what_it_cannot_tell(usb: tuple):
+    camera, capture = usb
+    camera.configure(exposure_ms=20.0)
+    assert capture.source == 3
+    assert capture.values[cv2.CAP_PROP_AUTO_EXPOSURE] == 1
+    assert capture.values[cv2.CAP_PROP_EXPOSURE] == 200
+    caps = camera.caps()
+    assert (caps.timed, caps.buffered_frames, caps.readout_ms, caps.shape) == (False, 4, 40.0, (4, 5, 3))
+    capture.settable = False
+    with pytest.raises(LimitError, match="does not let its exposure be set to 20 ms"):
+        camera.configure(exposure_ms=20.0)
+
+
+def test_a_usb_camera_delivers_rgb_and_its_loss_is_told(usb: tuple):
+    camera, capture = usb
+    seen = []
+
+    def lose_it(pixels: np.ndarray, stamp: FrameStamp) -> None:
+        seen.append((pixels[0, 0].tolist(), stamp.exposure_start_ns))
+        capture.gone = True
+        capture.pictures.release()
+
+    camera.arm(None, lose_it)
+    capture.pictures.release()
+    camera._thread.join(10)
+    assert seen == [([3, 2, 1], None)]
+    with pytest.raises(LinkLost, match="gave no more frames"):
+        camera.trigger()
+
+
+def test_a_usb_camera_whose_driver_hangs_does_not_hang_us(usb: tuple):
+    camera, capture = usb
+    camera.arm(None, lambda pixels, stamp: None)
+    with pytest.raises(CameraTimeout, match="did not stop within"):
+        camera.stop(0.01)
+    capture.pictures.release()
+    camera.stop(10.0)
