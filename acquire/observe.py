@@ -32,14 +32,16 @@ class Observer:
 
     def __init__(self, name: str, ring: Path, run: Path, out: Path, options: dict[str, Any]) -> None:
         self.name = name
+        self._log = run / f"observer-{name}.log"
         arguments = [name, str(ring), str(run), str(out), json.dumps(options)]
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "acquire.observe", *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C is for the run; an observer ends when the run does
-        )
+        with self._log.open("wb") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "acquire.observe", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                start_new_session=True,  # Ctrl-C is for the run; an observer ends when the run does
+            )
 
     def wait_until_ready(self, timeout_s: float) -> bool:
         """Wait until the observer watches; False if it does not within ``timeout_s``. The run starts either way."""
@@ -50,14 +52,15 @@ class Observer:
     def finish(self, timeout_s: float) -> str:
         """Wait for the observer to end; return what went wrong in words, empty if nothing did."""
         try:
-            _, said = self._process.communicate(timeout=timeout_s)
+            self._process.communicate(timeout=timeout_s)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.communicate()
             return f"{self.name} was not done after {timeout_s:.0f} s and was ended."
         if self._process.returncode == 0:
             return ""
-        return said.decode(errors="replace").strip() or f"{self.name} ended with {self._process.returncode}."
+        lines = self._log.read_text(encoding="utf-8", errors="replace").splitlines() or ["it said nothing"]
+        return f"{self.name} failed: {lines[-1].strip()} (all of it: {self._log})"
 
 
 def load(name: str) -> Observe:

@@ -134,6 +134,7 @@ class Session:
     ) -> None:
         self.folder = folder
         self.plan = plan_stack(recipe.stack, rig.spec)
+        rig.camera.configure(exposure_ms=self.plan.exposure_ms)  # what it refuses is known before anything is written
         caps = rig.camera.caps()
         self.cost = cost_of(self.plan, rig.spec, caps)
         self._tell = tell
