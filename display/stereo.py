@@ -224,7 +224,7 @@ def fill_row(seen: Array, nearness: Array, filled: Array) -> None:
         t = end
 
 
-def anaglyph(left: Array, right: Array, *, method: AnaglyphMethod = "grey") -> Picture:
+def anaglyph(left: Array, right: Array, method: AnaglyphMethod = "grey") -> Picture:
     """Lay two views over each other for red/cyan glasses, red before the left eye.
 
     Parameters
