@@ -42,6 +42,7 @@ class Recorder:
         self._keep_free_bytes = keep_free_bytes
         self._reader = RingReader.attach(ring.path, "lossless", clock=clock)
         self._error: StereotomeError | None = None
+        self._low: StereotomeError | None = None
         self._thread = threading.Thread(target=self._drain, name="writer", daemon=True)
         self._thread.start()
 
@@ -52,14 +53,14 @@ class Recorder:
 
     def check(self) -> None:
         """Raise `StoreError` if the disk failed or is about to be full; called before each exposure."""
-        if self._error is not None:
-            raise self._error
-        if free_bytes(self._store.folder) < self._keep_free_bytes:
-            raise disk_full(f"less than the reserve of {self._keep_free_bytes / 1e9:.1f} GB is free on the disk.")
+        refusal = self._error or self._low
+        if refusal is not None:
+            raise refusal
 
     def put(self, pixels: np.ndarray, header: FrameHeader) -> None:
         """Hand over one frame; raises `StoreError` when the disk failed or cannot keep up."""
-        self.check()
+        if self._error is not None:
+            raise self._error
         try:
             self._ring.push(pixels, header)
         except RingFull:
@@ -106,9 +107,16 @@ class Recorder:
         if frame is not None:
             self._store.put(frame)
             self._reader.release()
+            self._watch_space()
         if not self._reader.unread or self._store.pending >= GROUP:
             self._store.commit()
         return True
+
+    def _watch_space(self) -> None:
+        """Ask the disk after each plane; what is already in the ring is still stored."""
+        if self._low is None and free_bytes(self._store.folder) < self._keep_free_bytes:
+            reserve_gb = self._keep_free_bytes / 1e9
+            self._low = disk_full(f"less than the reserve of {reserve_gb:.1f} GB is free on the disk.")
 
 
 def disk_full(what: str, why: str = SAFE_SO_FAR) -> StoreError:

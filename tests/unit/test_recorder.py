@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -59,12 +58,24 @@ def test_a_missed_plane_keeps_its_place_and_its_reason(tmp_path):
     np.testing.assert_array_equal(run.read(2), pixels(2))
 
 
-def test_a_disk_below_its_reserve_stops_the_next_exposure(tmp_path):
-    out = recorder(tmp_path / "run", 3, keep_free_bytes=2**62)
-    with pytest.raises(StoreError, match="reserve") as caught:
-        out.check()
-    assert (caught.value.code, caught.value.exit_code) == ("disk-full", 6)
+def take_until_refused(out, planes):
+    for plane in range(planes):
+        try:
+            out.check()
+        except StoreError as refusal:
+            return plane, refusal
+        out.put(pixels(plane), header(plane))
+    return planes, None
+
+
+def test_a_disk_below_its_reserve_stops_the_next_exposure_and_keeps_what_was_taken(tmp_path):
+    out = recorder(tmp_path / "run", 300, keep_free_bytes=2**62)
+    taken, refusal = take_until_refused(out, 300)
+    assert (refusal.code, refusal.exit_code) == ("disk-full", 6)
     out.finish(RunEnd.FAILED)
+    run = open_run(tmp_path / "run")
+    assert run.state is RunEnd.FAILED
+    assert len(run.planes) == taken > 0
 
 
 FULL_DISK = """
