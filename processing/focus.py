@@ -44,6 +44,7 @@ REGISTER_FROM_PX = 1.0
 GATHER_SHARE = 0.45  # depth over which planes are averaged, to either side, as a share of the focus curve's width
 BINOMIAL = np.array([1, 4, 6, 4, 1], np.float32) / 16
 SMALLEST_STACK = 3  # with fewer planes there is no peak to speak of
+MOST_GAIN = 2.0  # larger changes of brightness are no flicker
 NOISE_ROWS = 32  # every 32nd row is enough to estimate the camera's noise
 MASK_GAIN = 6.0  # of the mask [1 -2 1]⊗[1 -2 1] for white noise
 WEAKER_HALF = 0.3247  # mean absolute value of the weaker half of normal deviates
@@ -131,6 +132,7 @@ class FocusSweep:
         self._windows: list[PeakTrack] = []
         self._energy: list[Array] = []
         self._light_gain = 1
+        self._first_light = 0.0
 
     @property
     def state_bytes_per_pixel(self) -> float:
@@ -159,12 +161,18 @@ class FocusSweep:
         if not self._windows:
             self._make_windows()
         bands = 1 if plane.ndim == 2 else plane.shape[2]
-        gradient_energy(plane.reshape(plane.shape[0], -1), bands, self._energy[0])
+        gradient_energy(plane.reshape(plane.shape[0], -1), bands, self._lamp_gain(plane), self._energy[0])
         for energy, window, coarser in zip(self._energy, self._windows, [*self._energy[1:], None], strict=True):
             smooth = cv2.sepFilter2D(energy, -1, BINOMIAL, BINOMIAL, borderType=cv2.BORDER_REPLICATE)
             window.add(smooth, self.count)
             if coarser is not None:
                 halve(smooth, coarser)
+
+    def _lamp_gain(self, plane: Array) -> float:
+        """Gain that gives the plane the brightness of the first one: a flickering lamp must not look like focus."""
+        light = float(np.mean(cv2.mean(plane)[: 1 if plane.ndim == 2 else 3]))
+        self._first_light = self._first_light or light
+        return float(np.clip(self._first_light / light, 1 / MOST_GAIN, MOST_GAIN)) if light else 1.0
 
     def _make_windows(self) -> None:
         shape = self.shape

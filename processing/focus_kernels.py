@@ -55,8 +55,8 @@ def add_squares(smooth: Array, change: Array, step: int, energy: Array) -> None:
 
 
 @compiled
-def gradient_energy(plane: Array, bands: int, out: Array) -> None:
-    """Mean squared gradient of 2×2 pixels, all bands together, at half resolution.
+def gradient_energy(plane: Array, bands: int, gain: float, out: Array) -> None:
+    """Mean squared gradient of 2×2 pixels, all bands together, at half resolution, times ``gain`` squared.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def gradient_energy(plane: Array, bands: int, out: Array) -> None:
     smooth = np.empty(n + 2 * bands, np.float32)
     change = np.empty(n + 2 * bands, np.float32)
     energy = np.empty(2 * bands * out.shape[1], np.float32)
-    scale = np.float32(1 / (SOBEL_GAIN * SOBEL_GAIN * 4 * bands))
+    scale = np.float32(gain * gain / (SOBEL_GAIN * SOBEL_GAIN * 4 * bands))
     for i in range(out.shape[0]):
         energy[:] = 0
         for r in (2 * i, min(2 * i + 1, height - 1)):

@@ -74,6 +74,14 @@ def test_one_per_cent_noise(scale, dtype):
     assert result.noise == pytest.approx(NOISE * scale, rel=0.15)
 
 
+def test_flickering_lamp_does_not_move_the_range():
+    planes, z, _ = clean_stack()
+    flicker = 1 + 0.05 * np.random.default_rng(2).normal(size=(PLANES, 1, 1))
+    steady, flickering = (focus_stack(seen(p, scale=100.0, dtype=np.uint16)) for p in (planes, planes * flicker))
+    assert rms(flickering.range - z) < 1.1 * rms(steady.range - z)
+    assert np.median(np.abs(flickering.range - z)) < 0.12
+
+
 def test_averaging_beats_the_best_single_plane():
     planes, _, sharp = clean_stack()
     stack = seen(planes)
