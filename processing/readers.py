@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import struct
+import tokenize
+import zipfile
+import zlib
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
+from nibabel.filebasedimages import ImageFileError
+from nibabel.spatialimages import HeaderDataError
 
 from devices.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -27,6 +35,12 @@ UM_PER_UNIT = {
     "inch": 25400.0, "in": 25400.0,
     "m": 1e6, "meter": 1e6, "metre": 1e6,
 }  # fmt: skip
+# What libraries that read files were seen to raise on bytes that make no sense; SyntaxError is broken XML.
+BROKEN = (
+    *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError, RuntimeError, SyntaxError),
+    *(TypeError, ValueError, OSError, cv2.error, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error),
+    *(HeaderDataError, ImageFileError),
+)
 MICRO_SIGNS = {ord("µ"): "u", ord("μ"): "u"}
 
 
@@ -203,6 +217,17 @@ def to_um(value: float, unit: str) -> float | None:
     """Convert a length to µm; None when the unit is no known length."""
     word = unit.strip().replace("\\u00B5", "u").translate(MICRO_SIGNS).lower()
     return value * UM_PER_UNIT[word] if word in UM_PER_UNIT else None
+
+
+@contextmanager
+def reading(what: object) -> Iterator[None]:
+    """Turn whatever a library makes of broken bytes into one clear `InputError` about ``what``."""
+    try:
+        yield
+    except PermissionError as error:
+        raise InputError(f"{what} may not be read.", why=str(error), fix="ask for the right to read it.") from None
+    except BROKEN as error:
+        raise damaged(what, f"{type(error).__name__}: {error}") from None
 
 
 def damaged(source: object, why: str) -> InputError:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from typing import TYPE_CHECKING, Any
 
 import nibabel
 import numpy as np
-from nibabel.filebasedimages import ImageFileError
 
 from devices.errors import InputError
-from processing.readers import Choice, Recording, damaged, lay_out, to_um
+from processing.readers import Choice, Recording, lay_out, to_um
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -22,7 +19,6 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 ARRAYS = frozenset({".npy", ".npz"})
-BROKEN = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, ImageFileError)
 SAMPLES = frozenset({3, 4})  # a last axis of this length is colour
 NIFTI_AXES = "xyztcuv"
 ISOTROPIC = 0.02  # pixels whose sides differ by more have no one size
@@ -41,12 +37,7 @@ def read_array(path: Path, choice: Choice) -> Recording:
     InputError
         Damaged, no numbers, not one stack.
     """
-    try:
-        array = _load_npz(path) if path.suffix.lower() == ".npz" else np.load(path, mmap_mode="r", allow_pickle=False)
-    except InputError:
-        raise
-    except BROKEN as error:
-        raise damaged(path, str(error)) from None
+    array = _load_npz(path) if path.suffix.lower() == ".npz" else np.load(path, mmap_mode="r", allow_pickle=False)
     layout = lay_out(_guess_axes(path, array.shape), array.shape, choice, path)
     return Recording(layout.count, lambda k: layout.upright(np.asarray(array[layout.index(k)])), notes=layout.notes)
 
@@ -89,12 +80,9 @@ def read_nifti(path: Path, choice: Choice) -> Recording:
     InputError
         Damaged, or no volume.
     """
-    try:
-        image: Any = nibabel.load(path)
-        volume = _with_samples(np.asanyarray(image.dataobj))
-        sizes, (unit, _) = image.header.get_zooms(), image.header.get_xyzt_units()
-    except BROKEN as error:
-        raise damaged(path, str(error)) from None
+    image: Any = nibabel.load(path)
+    volume = _with_samples(np.asanyarray(image.dataobj))
+    sizes, (unit, _) = image.header.get_zooms(), image.header.get_xyzt_units()
     axes = NIFTI_AXES[: len(image.shape)] + "s" * (volume.ndim - len(image.shape))
     layout = lay_out(axes, volume.shape, choice, path)
     # a volume without a unit is in millimetres by the custom of the field

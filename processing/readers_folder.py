@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import zlib
 from collections import defaultdict
 from dataclasses import dataclass
 from itertools import pairwise
@@ -12,7 +13,7 @@ import cv2
 import numpy as np
 
 from devices.errors import InputError
-from processing.readers import Choice, Recording, choose_channel, damaged
+from processing.readers import Choice, Recording, choose_channel, damaged, reading
 from processing.readers_tiff import read_tiff
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ TIFFS = frozenset({".tif", ".tiff"})
 PICTURES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp"})
 NUMBER = re.compile(r"(\d+(?:\.\d+)?)")
 DEPTH_WORDS = ("z", "plane", "slice", "focus", "depth")  # a number after one of these counts planes
+JPEG, PNG = b"\xff\xd8", b"\x89PNG\r\n\x1a\n"
 JPEG_PLAIN = frozenset({0x01, *range(0xD0, 0xD8)})  # markers without a length
 
 
@@ -118,7 +120,8 @@ def _reader(files: tuple[Path, ...]) -> Callable[[int], Array]:
 
 
 def _one_plane(path: Path) -> Recording:
-    recording = read_tiff(path, Choice())
+    with reading(path):
+        recording = read_tiff(path, Choice())
     if recording.count > 1:
         raise InputError(
             f"{path} holds {recording.count} planes; in a folder every file has to be one plane.",
@@ -217,24 +220,35 @@ def read_picture(path: Path) -> Array:
     """
     if is_tiff(path):
         return _one_plane(path).read(0)
-    content = path.read_bytes()
-    check_ending(path, content)
-    try:
-        pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED) if content else None
-    except cv2.error:
-        pixels = None
+    with reading(path):
+        content = path.read_bytes()
+        check_whole(path, content)
+        pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None:
         raise damaged(path, "It cannot be decoded.")
     return np.ascontiguousarray(pixels if pixels.ndim == 2 else pixels[:, :, [2, 1, 0]])
 
 
-def check_ending(path: Path, content: bytes) -> None:
-    """Raise `InputError` for a JPEG or PNG that was cut: decoders fill up the rest with grey."""
-    cut = (content.startswith(b"\xff\xd8") and not _jpeg_ends(content)) or (
-        content.startswith(b"\x89PNG") and b"IEND" not in content[-64:]
-    )
-    if cut:
+def check_whole(path: Path, content: bytes) -> None:
+    """Raise `InputError` for a JPEG or PNG that was cut or changed: decoders fill up the rest with grey."""
+    if content.startswith(JPEG) and not _jpeg_ends(content):
         raise damaged(path, f"The file ends at byte {len(content)}, in the middle of the picture.")
+    if content.startswith(PNG) and not _png_checks(content):
+        raise damaged(path, "A part of it is missing, or differs from its checksum.")
+
+
+def _png_checks(content: bytes) -> bool:
+    """Tell whether all chunks up to the end chunk are there and agree with their checksums."""
+    at = len(PNG)
+    while at + 12 <= len(content):
+        size = int.from_bytes(content[at : at + 4], "big")
+        body, check = content[at + 4 : at + 8 + size], content[at + 8 + size : at + 12 + size]
+        if zlib.crc32(body).to_bytes(4, "big") != check:
+            return False
+        if body.startswith(b"IEND"):
+            return True
+        at += 12 + size
+    return False
 
 
 def _jpeg_ends(content: bytes) -> bool:

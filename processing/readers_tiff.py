@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import struct
 import weakref
@@ -22,18 +23,7 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 OWN_CODECS = frozenset(tifffile.COMPRESSION[name] for name in ("NONE", "ADOBE_DEFLATE", "DEFLATE", "LZMA"))
-# what tifffile and its codecs raise on bytes that make no sense
-BROKEN = (
-    tifffile.TiffFileError,
-    OSError,
-    ValueError,
-    TypeError,
-    KeyError,
-    IndexError,
-    RuntimeError,
-    struct.error,
-    cv2.error,
-)
+logging.getLogger("tifffile").addHandler(logging.NullHandler())  # what it notices is told in our words or harmless
 
 
 def read_tiff(path: Path, choice: Choice) -> Recording:
@@ -55,14 +45,11 @@ def read_tiff(path: Path, choice: Choice) -> Recording:
 
 def open_tiff(path: Path) -> tifffile.TiffFile:
     """Open a TIFF file whose every byte is there."""
-    try:
-        _check_chain(path)
-        with ExitStack() as guard:
-            file = guard.enter_context(tifffile.TiffFile(path))
-            _check_segments(file)
-            guard.pop_all()
-    except BROKEN as error:
-        raise damaged(path, str(error)) from None
+    _check_chain(path)
+    with ExitStack() as guard:
+        file = guard.enter_context(tifffile.TiffFile(path))
+        _check_segments(file)
+        guard.pop_all()
     return file
 
 
@@ -134,10 +121,7 @@ class _PlaneReader:
     def _decoded(self, number: int) -> Array:
         page = self._series.pages[number]
         assert page is not None
-        try:
-            return page.asarray() if page.compression in OWN_CODECS else _by_opencv(self.file.filehandle.path, page)
-        except BROKEN as error:
-            raise damaged(self.file.filehandle.path, f"Image {number}: {error}") from None
+        return page.asarray() if page.compression in OWN_CODECS else _by_opencv(self.file.filehandle.path, page)
 
 
 def _by_opencv(path: str, page: tifffile.TiffPage | tifffile.TiffFrame) -> Array:
@@ -174,7 +158,7 @@ def _metaseries_spacing(file: tifffile.TiffFile) -> dict[str, Any]:
         pages = [_metaseries_table(page) for page in file.pages]
         z_um = np.array([page["z-position"] for page in pages], np.float64)
         pixel_um = to_um(float(pages[0]["spatial-calibration-x"]), str(pages[0]["spatial-calibration-units"]))
-    except (KeyError, ValueError, AttributeError) as error:
+    except (KeyError, ValueError, TypeError, AttributeError, SyntaxError) as error:
         return {"notes": [f"the MetaSeries table cannot be read ({error}): no spacing from it."]}
     return {"z_um": z_um, "pixel_um": pixel_um}
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zlib
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +11,7 @@ import tensorstore
 import zarr
 
 from devices.errors import InputError
-from processing.readers import Choice, Layout, Recording, damaged, lay_out, to_um
+from processing.readers import Choice, Layout, Recording, lay_out, to_um
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,8 +22,6 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 MARKS = ("zarr.json", ".zgroup", ".zarray")
-# what the library and its codecs raise on metadata or chunks that make no sense
-BROKEN = (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, RuntimeError, EOFError, zlib.error)
 AXIS_OF_TYPE = {"channel": "c", "time": "t"}
 EARLY_AXES = "tczyx"  # of OME-Zarr before 0.3, which did not say
 RGB = ("red", "green", "blue")
@@ -73,20 +70,14 @@ def read_zarr(path: Path, choice: Choice) -> Recording:
     InputError
         No image or several, metadata that make no sense, a channel or time that is not there.
     """
-    try:
-        image = find_image(path)
-        layout = _lay_out(image, choice)
-        absent = image.array.nchunks - image.array.nchunks_initialized
-        depth, lateral = image.in_um("z"), image.in_um("x")
-        read = _reader(image, layout)
-    except InputError:
-        raise
-    except BROKEN as error:
-        raise damaged(path, f"{type(error).__name__}: {error}") from None
+    image = find_image(path)
+    layout = _lay_out(image, choice)
+    absent = image.array.nchunks - image.array.nchunks_initialized
+    depth, lateral = image.in_um("z"), image.in_um("x")
     notes = [*layout.notes, *([_absent(absent, image.array.nchunks)] if absent else [])]
     recording = Recording(
         layout.count,
-        read,
+        _reader(image, layout),
         step_um=depth[0] if depth else None,
         start_um=depth[1] if depth else 0.0,
         pixel_um=lateral[0] if lateral else None,
@@ -170,14 +161,7 @@ def _reader(image: Image, layout: Layout) -> Callable[[int], Array]:
     driver = "zarr3" if image.array.metadata.zarr_format == 3 else "zarr"
     spec = {"driver": driver, "kvstore": {"driver": "file", "path": str(image.folder)}}
     pixels = tensorstore.open(spec, open=True, read=True).result()
-
-    def read(k: int) -> Array:
-        try:
-            return layout.upright(np.asarray(pixels[layout.index(k)].read().result()))
-        except BROKEN as error:
-            raise damaged(f"{image.path}: plane {k}", str(error)) from None
-
-    return read
+    return lambda k: layout.upright(np.asarray(pixels[layout.index(k)].read().result()))
 
 
 def _with_table(recording: Recording, table: dict[str, Any]) -> Recording:

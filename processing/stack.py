@@ -12,7 +12,7 @@ import numpy as np
 
 from acquire.store import is_run
 from devices.errors import InputError
-from processing.readers import Choice, Recording, as_picture
+from processing.readers import Choice, Recording, as_picture, reading
 from processing.readers_array import ARRAYS, is_nifti, read_array, read_nifti
 from processing.readers_folder import is_image, is_tiff, read_files, read_folder
 from processing.readers_run import read_run
@@ -84,7 +84,7 @@ class Stack(Sequence["Array"]):
         InputError
             The plane is damaged, or differs from the first one in size or type.
         """
-        pixels = self._recording.read(k)
+        pixels = self._recording.read(range(len(self))[k])
         if (pixels.shape, pixels.dtype) != (self.shape, self.dtype):
             label = self._recording.label
             raise InputError(
@@ -124,7 +124,9 @@ def open_stack(path: Path | str, *, step_um: float | None = None, channel: int |
         The input is missing, damaged, of an unknown kind, not one stack, or its spacing makes no sense.
     """
     source = Path(path)
-    recording = plausible_pixel(camera_depth(read_any(source, Choice(channel, time))))
+    with reading(source):
+        recording = read_any(source, Choice(channel, time))
+    recording = plausible_pixel(camera_depth(guarded(source, recording)))
     z_um, said = positions(recording, step_um)
     recording = replace(recording, notes=(*recording.notes, *said))
     return _in_order(source, recording, z_um)
@@ -140,6 +142,16 @@ def read_any(source: Path, choice: Choice) -> Recording:
     if matching:
         return read_files(matching, choice, source)
     raise InputError(f"there is no {source}.", fix="check the name.", code="input-missing")
+
+
+def guarded(source: Path, recording: Recording) -> Recording:
+    """Have every plane that cannot be read named."""
+
+    def read(k: int) -> Array:
+        with reading(f"{source}: {recording.label(k)}"):
+            return recording.read(k)
+
+    return replace(recording, read=read)
 
 
 def _read_folder(source: Path, choice: Choice) -> Recording:
