@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 LEVELS = 40
 FULL_SCALE = 60000.0
 FARTHEST_UM = 80.0
-DISC_TABLE_CYCLES = 256.0
-DISC_NODES = 1024
+DISC_TABLE_CYCLES = 32.0  # beyond, nothing of a disc is above 0.0006
+DISC_NODES = 256
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def disc_transfer(cycles: np.ndarray) -> np.ndarray:
 
     It is ``2 J1(2πf)/(2πf)``, the cosine transform of the disc's chords; taken from a table of that integral.
     """
-    return np.asarray(np.interp(cycles, *_disc_table()))
+    return np.asarray(np.interp(cycles, *_disc_table(), right=0.0))
 
 
 @cache
