@@ -42,6 +42,7 @@ def run(
     sim: Annotated[bool, Parameter(negative="")] = False,
     set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
     out: Path | None = None,
+    transcript: Path | None = None,
     dry_run: Annotated[bool, Parameter(negative="")] = False,
     yes: Annotated[bool, Parameter(name=["--yes", "-y"], negative="")] = False,
     json_: Annotated[bool, Parameter(name="--json", negative="")] = False,
@@ -60,6 +61,8 @@ def run(
         Replace a value of the recipe or the instrument: --set stack.step=0.5
     out
         Folder of the run; must not exist. Without it the recipe's output.folder.
+    transcript
+        Folder in which every exchange with the devices is recorded.
     dry_run
         List what would be done, and all problems at once; nothing moves.
     yes
@@ -77,7 +80,7 @@ def run(
             return _dry_run(loaded, spec, out, tell)
         folder = _ready(loaded, spec, out)
         clock = SystemClock()
-        rig = stack.enter_context(open_rig(spec, clock=clock))
+        rig = stack.enter_context(open_rig(spec, clock=clock, transcript=transcript))
         _review(loaded, spec, folder, ask=not yes)
         events: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         session = Session(loaded, rig, folder, clock, events.put)

@@ -104,7 +104,11 @@ class ProcessSpec(Table):
 
 
 class Recipe(Table):
-    """A recipe file, ``recipe.toml``. ``[watch]`` is accepted as it is and not used yet."""
+    """A recipe file, ``recipe.toml``.
+
+    ``[watch]`` and ``[sections]`` are accepted as they are: their keys are not looked at until the program can watch
+    and cut. A run with sections is refused, not taken as a single stack.
+    """
 
     schema_: Annotated[Literal[1], Field(alias="schema")] = 1
     name: str = "stack"
@@ -114,11 +118,20 @@ class Recipe(Table):
     stack: StackSpec
     process: ProcessSpec = ProcessSpec()
     watch: dict[str, Any] | None = None
+    sections: dict[str, Any] | None = None
 
 
 def load_recipe(path: Path, overrides: tuple[str, ...] = ()) -> Recipe:
-    """Read a recipe file; raises `PlanError` with every problem of the file, each with its line."""
-    return load_model(path, Recipe, PlanError, overrides=overrides)
+    """Read a recipe file for a run; raises `PlanError` with every problem of the file, each with its line."""
+    recipe = load_model(path, Recipe, PlanError, overrides=overrides)
+    if recipe.sections is not None:
+        raise PlanError(
+            f"{path}: runs with [sections] are not possible yet.",
+            why="Nothing would be cut, and a single stack is not what the recipe asks for.",
+            fix="leave [sections] out to take one focal stack.",
+            code="no-sections",
+        )
+    return recipe
 
 
 def step_um(step: float | str, optics: OpticsSpec, sensor_pixel_um: float | None) -> float:
