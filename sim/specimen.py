@@ -114,7 +114,7 @@ def _relief(size_px: tuple[int, int], rng: np.random.Generator) -> list[Sheet]:
 
 def _depth(size_px: tuple[int, int], rng: np.random.Generator) -> list[Sheet]:
     tile = tile_px(size_px)
-    textures = [_filaments(tile, rng), _filaments(tile, rng), _beads(tile, rng)]
+    textures = [np.maximum(_filaments(tile, rng), _beads(tile, rng)) for _ in range(2)]
     return [Sheet(_full_range(_hills(size_px, rng, bumps=3)), texture) for texture in textures]
 
 
@@ -172,7 +172,7 @@ def _grain(tile: int, size: int, rng: np.random.Generator) -> np.ndarray:
 def _filaments(tile: int, rng: np.random.Generator) -> np.ndarray:
     """Return thin bright winding lines on a dark ground."""
     canvas = np.zeros((tile, tile), np.float32)
-    for _ in range(9):
+    for _ in range(12):
         start, angle = rng.uniform(0, tile, 2), rng.uniform(0, 2 * np.pi)
         angles = angle + np.cumsum(rng.normal(0, 0.12, 200))
         path = start + np.cumsum(tile / 130 * np.stack([np.cos(angles), np.sin(angles)], axis=1), axis=0)
@@ -184,7 +184,7 @@ def _filaments(tile: int, rng: np.random.Generator) -> np.ndarray:
 def _beads(tile: int, rng: np.random.Generator) -> np.ndarray:
     """Return small bright discs on a dark ground."""
     canvas = np.full((tile, tile), DARK, np.float32)
-    for _ in range(120):
+    for _ in range(60):
         x, y, radius = *rng.integers(0, tile, 2), rng.integers(2, 5)
         cv2.circle(canvas, (int(x), int(y)), int(radius), float(rng.uniform(0.6, 1)), thickness=-1)
     return canvas
