@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from devices.errors import LimitError
+from devices.errors import DeviceError, LimitError
 from sim.camera import NS, Shutter, check_exposure
 
 if TYPE_CHECKING:
@@ -46,9 +46,23 @@ class FrameFile:
         self.path = Path(name)
         _lock(self._file)
         size = PAGE + slots * self.stride_bytes
-        os.ftruncate(self._file, size)
+        self._allocate(size)
         self._memory = mmap.mmap(self._file, size)
         self.frames = [np.ndarray(shape, dtype, self._memory, PAGE + slot * self.stride_bytes) for slot in range(slots)]
+
+    def _allocate(self, size: int) -> None:
+        """Get the memory now: what is missing later would kill the process in the middle of a frame."""
+        try:
+            os.posix_fallocate(self._file, 0, size) if hasattr(os, "posix_fallocate") else os.ftruncate(
+                self._file, size
+            )
+        except OSError as cause:
+            self.close()
+            raise DeviceError(
+                f"bench: no room for {size / 1e6:.0f} MB of frames in {self.path.parent}.",
+                why=str(cause),
+                fix="make room there, or choose a smaller camera.size_px.",
+            ) from cause
 
     def describe(self) -> Answer:
         """Return what a client needs to find the frames."""

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from devices.clock import SystemClock
+from devices.errors import InputError
 from devices.rig import load_rig
 from sim.bench import build_bench, instrument_text
 from sim.camera_server import CameraServer
@@ -94,11 +95,18 @@ def _in_threads(*serving: Callable[[], None]) -> None:
 
 def _folder(given: Path | None, cleanup: ExitStack) -> Path:
     if given is not None:
-        given.mkdir(parents=True, exist_ok=True)
-        return given.absolute()
+        return _usable(given)
     made = Path(tempfile.mkdtemp(prefix="stereotome-bench-"))
     cleanup.callback(shutil.rmtree, made, ignore_errors=True)
     return made
+
+
+def _usable(folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as cause:
+        raise InputError(f"--dir {folder}: {cause.strerror}.", fix="name a folder that can be written to.") from cause
+    return folder.absolute()
 
 
 def _wait(*, follow_stdin: bool) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import socket
 from bisect import bisect_right
 from typing import TYPE_CHECKING, Protocol
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from sim.faults import Delayed
 
 CHUNK = 4096
+ISPEED, OSPEED = 4, 5  # places in what tcgetattr returns
 MISHEARD = b":N-1 \r\n"
 
 
@@ -41,31 +43,28 @@ class PtyChannel:
     """The master's end of a pseudo-terminal; ``path`` is what a client opens.
 
     Our own hold on the slave keeps the terminal alive while no client has it open. Both ends are raw: a fresh
-    terminal would echo, and turn CR into LF.
+    terminal would echo, and turn CR into LF. The thread that reads closes; others ask it to by `hang_up`.
     """
 
     def __init__(self, baud: int) -> None:
         import termios  # noqa: PLC0415  there are no terminals on Windows
         import tty  # noqa: PLC0415
 
-        self._master, self._slave = os.openpty()
-        self._rates = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[1:].isdigit()}
+        self._bauds = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[1:].isdigit()}
         self._tcgetattr = termios.tcgetattr
+        self._master, self._slave = os.openpty()
+        self._woken, self._waker = os.pipe()
         self.path = os.ttyname(self._slave)
         tty.setraw(self._master)
         tty.setraw(self._slave)
-        codes = {rate: code for code, rate in self._rates.items()}
-        if baud in codes:
-            attributes = termios.tcgetattr(self._slave)
-            attributes[4] = attributes[5] = codes[baud]
-            termios.tcsetattr(self._slave, termios.TCSANOW, attributes)
+        attributes = termios.tcgetattr(self._slave)
+        attributes[ISPEED] = attributes[OSPEED] = getattr(termios, f"B{baud}", attributes[OSPEED])
+        termios.tcsetattr(self._slave, termios.TCSANOW, attributes)
 
     def read(self) -> bytes:
-        """Wait for bytes; none means that the terminal was closed."""
-        try:
-            return os.read(self._master, CHUNK)
-        except OSError:
-            return b""
+        """Wait for bytes; none after `hang_up`."""
+        ready, _, _ = select.select([self._master, self._woken], [], [])
+        return b"" if self._woken in ready else os.read(self._master, CHUNK)
 
     def write(self, data: bytes) -> None:
         """Send all of ``data``."""
@@ -74,11 +73,15 @@ class PtyChannel:
 
     def client_baud(self) -> int | None:
         """Return the speed the slave is set to; None for one without a name."""
-        return self._rates.get(self._tcgetattr(self._slave)[5])
+        return self._bauds.get(self._tcgetattr(self._slave)[OSPEED])
+
+    def hang_up(self) -> None:
+        """Let the reader stop, from any thread."""
+        os.write(self._waker, b"!")
 
     def close(self) -> None:
-        """Hang up: a client sees its port vanish."""
-        for end in (self._master, self._slave):
+        """Close the terminal: a client sees its port vanish."""
+        for end in (self._master, self._slave, self._woken, self._waker):
             os.close(end)
 
 
@@ -151,7 +154,9 @@ class StageLine:
     def serve_pty(self) -> None:
         """Answer on the pseudo-terminal until the end."""
         if self._pty is not None:
-            self._converse(self._pty)
+            with contextlib.closing(self._pty):
+                self._converse(self._pty)
+                self._pty = None
 
     def serve_tcp(self) -> None:
         """Answer one TCP client after the other."""
@@ -163,12 +168,11 @@ class StageLine:
 
     def close(self) -> None:
         """Close all ports: clients see them vanish."""
-        _shut(self._listener)
-        if self._connection is not None:
-            _shut(self._connection)
-        pty, self._pty = self._pty, None
-        if pty is not None:
-            pty.close()
+        for connection in (self._listener, self._connection):
+            if connection is not None:
+                _shut(connection)
+        if self._pty is not None:
+            self._pty.hang_up()
 
     def _converse(self, channel: Channel) -> None:
         try:

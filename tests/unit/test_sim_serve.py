@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import mmap
+import os
 import signal
 import socket
 import subprocess
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 import serial
 
+from devices.errors import DeviceError
 from devices.rig import load_rig
 from sim.bench import build_bench
 from sim.camera_server import FrameFile
@@ -271,13 +273,23 @@ def test_depth_and_faults_and_tcp_are_options(tmp_path):
             assert ask(stage, b"\\") == b":N-21\r\n"
 
 
+def test_no_room_for_frames_is_said_before_any_is_taken():
+    with pytest.raises(DeviceError, match=r"no room for \d+ MB of frames"):
+        FrameFile((60_000, 60_000, 1000), "uint16")
+    assert not frame_files(os.getpid())
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
-    [(["no-such.toml", "--fault", "z.late@1"], "no such file"), (["--fault", "z.lat"], "did you mean 'z.late'")],
+    [
+        (["--dir", "/dev/null"], "--dir /dev/null: File exists"),
+        (["no-such.toml", "--fault", "z.late@1"], "no such file"),
+        (["--fault", "z.lat"], "did you mean 'z.late'"),
+    ],
 )
 def test_what_it_cannot_start_with_it_says(arguments, words):
     done = subprocess.run([*PROGRAM, *arguments], stdin=subprocess.DEVNULL, capture_output=True, text=True)
-    assert (done.returncode, done.stdout) == (3, "")
+    assert (done.returncode, done.stdout) == (2 if "--dir" in arguments else 3, "")
     assert words in done.stderr
     assert "Traceback" not in done.stderr
 

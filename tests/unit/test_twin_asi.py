@@ -112,6 +112,17 @@ def test_a_dying_twin_takes_the_port_with_it(way):
             ask(port, "/")
 
 
+def test_a_death_by_tcp_closes_the_terminal_too():
+    with on_wires("z.die@2") as line, serial.Serial(line.pty_path, 115200, timeout=5) as other:
+        with serial.serial_for_url(line.tcp_url, timeout=5) as port:
+            assert ask(port, "/") == b"N\r\n"
+            port.write(b"/\r")
+            with pytest.raises(OSError, match="disconnected"):
+                port.read(1)
+        with pytest.raises(OSError, match=r"no data|Input/output"):
+            other.read(1)
+
+
 def test_a_late_reply_comes_late_and_whole():
     with on_wires("z.late@1") as line, serial.Serial(line.pty_path, 115200, timeout=5) as port:
         port.write(b"W Z\r")
