@@ -17,9 +17,10 @@ from devices.values import Limits
 from sim.clock import SimClock
 from sim.controllers.asi import Ms2000
 from sim.controllers.asi_grammar import LONG_NAMES, Nack, Word, parse
-from sim.faults import Faults, FaultyTwin, parse_faults
+from sim.faults import LATE_S, Faults, FaultyTwin, parse_faults
 from sim.motion import Axis
-from sim.stage_line import StageLine
+from sim.stage_line import StageLine, converse
+from sim.uart import as_heard
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "asi_ms2000.log"
 LIMITS = Limits(-500.0, 500.0)
@@ -123,13 +124,48 @@ def test_a_death_by_tcp_closes_the_terminal_too():
             other.read(1)
 
 
+class Scripted:
+    """A channel whose client sends the given bytes, then leaves; notes when it is answered."""
+
+    def __init__(self, clock: SimClock, *sent: bytes, baud: int | None = None) -> None:
+        self.clock, self.sent, self.baud = clock, list(sent), baud
+        self.heard: list[tuple[float, bytes]] = []
+
+    def read(self) -> bytes:
+        return self.sent.pop(0) if self.sent else b""
+
+    def write(self, data: bytes) -> None:
+        self.heard.append((self.clock.now(), data))
+
+    def client_baud(self) -> int | None:
+        return self.baud
+
+
+def conversation(*faults: str, baud: int = 9600, client_baud: int | None = None) -> list[tuple[float, bytes]]:
+    clock = SimClock()
+    channel = Scripted(clock, b"/\r", b"W Z\r", baud=client_baud)
+    twin = Ms2000({letter: Axis(clock, LIMITS) for letter in "XYZ"})
+    converse(channel, FaultyTwin(twin.feed, Faults(parse_faults(faults), clock)).feed, baud, clock)
+    return channel.heard
+
+
+@pytest.mark.parametrize("baud", [9600, 115200])
+def test_bytes_arrive_as_on_a_wire_of_that_baud(baud):
+    heard, byte_s = conversation(baud=baud), 10 / baud
+    assert b"".join(data for _, data in heard) == b"N\r\n:A 0 \r\n"
+    bytes_on_the_wire = [3, 4, 5, *range(10, 17)]  # after two of the first command, and four more of the second
+    assert [at for at, _ in heard] == pytest.approx([n * byte_s for n in bytes_on_the_wire])
+
+
 def test_a_late_reply_comes_late_and_whole():
-    with on_wires("z.late@1") as line, serial.Serial(line.pty_path, 115200, timeout=5) as port:
-        port.write(b"W Z\r")
-        port.timeout = 0.1
-        assert port.read(1) == b""
-        port.timeout = 5
-        assert port.read_until(b"\r\n") == b":A 0 \r\n"
+    punctual, late = conversation(), conversation("z.late@1")
+    assert [data for _, data in late] == [data for _, data in punctual]
+    assert [at for at, _ in late] == pytest.approx([at + LATE_S for at, _ in punctual])
+
+
+def test_a_client_at_another_baud_is_not_understood():
+    heard = conversation(baud=9600, client_baud=19200)
+    assert [data for _, data in heard] == [as_heard(b":N-1 \r\n", 9600, 19200)] * 2
 
 
 def test_half_a_reply_and_then_the_next():
