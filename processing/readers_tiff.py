@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import struct
+import warnings
 import weakref
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 OWN_CODECS = frozenset(tifffile.COMPRESSION[name] for name in ("NONE", "ADOBE_DEFLATE", "DEFLATE", "LZMA"))
+MICRO_MANAGER = "MicroManagerMetadata"
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # what it notices is told in our words or harmless
 
 
@@ -36,7 +38,7 @@ def read_tiff(path: Path, choice: Choice) -> Recording:
     """
     reader = _PlaneReader(open_tiff(path))
     file, layout = reader.file, reader.choose(choice, path)
-    spacing = _spacing(file, layout)
+    spacing = _spacing(reader, layout)
     notes = [*layout.notes, *spacing.pop("notes", [])]
     if len(file.series) > 1:
         notes.append(f"image 0 of the {len(file.series)} in the file is taken.")
@@ -102,13 +104,23 @@ class _PlaneReader:
         return self._layout
 
     def __call__(self, k: int) -> Array:
+        number, within = self._place(k)
+        return self._layout.upright(self._pixels(number)[within])
+
+    def _place(self, k: int) -> tuple[int, tuple[int | slice, ...]]:
+        """Return the number of the page that holds plane ``k``, and where in the page it lies."""
         index, shape = self._layout.index(k), self._series.shape
         lead = len(shape) - len(self._series.keyframe.shape)  # axes that run over pages, the others lie within one
         outer = [int(i) for i in index[:lead] if not isinstance(i, slice)]
-        page = int(np.ravel_multi_index(outer, shape[:lead])) if outer else 0
-        return self._layout.upright(self._page(page)[index[lead:]])
+        return int(np.ravel_multi_index(outer, shape[:lead])) if outer else 0, index[lead:]
 
-    def _page(self, number: int) -> Array:
+    def page(self, k: int) -> tifffile.TiffPage:
+        """Return the page of plane ``k`` with all its tags."""
+        page = self._series.pages[self._place(k)[0]]
+        assert page is not None
+        return page.aspage()
+
+    def _pixels(self, number: int) -> Array:
         if self._series.dataoffset is None:
             return self._decoded(number)
         shape, dtype = self._series.keyframe.shape, self._series.dtype
@@ -121,11 +133,16 @@ class _PlaneReader:
     def _decoded(self, number: int) -> Array:
         page = self._series.pages[number]
         assert page is not None
-        return page.asarray() if page.compression in OWN_CODECS else _by_opencv(self.file.filehandle.path, page)
+        if page.compression not in OWN_CODECS:
+            return _by_opencv(page)
+        with warnings.catch_warnings():  # further files of a set are opened for each page, and that is said each time
+            warnings.filterwarnings("ignore", ".*reading array from closed file", UserWarning)
+            return page.asarray()
 
 
-def _by_opencv(path: str, page: tifffile.TiffPage | tifffile.TiffFrame) -> Array:
+def _by_opencv(page: tifffile.TiffPage | tifffile.TiffFrame) -> Array:
     """Decode a page in a compression that tifffile leaves to a further package: LZW, JPEG, PackBits and others."""
+    path = page.parent.filehandle.path  # of a set of files it may be another one than the first
     pages = cv2.imreadmulti(path, start=page.index, count=1, flags=cv2.IMREAD_UNCHANGED)[1]
     if not pages or pages[0].size != math.prod(page.shape):
         raise ValueError(f"its compression ({page.compression!r}) cannot be read")
@@ -133,14 +150,22 @@ def _by_opencv(path: str, page: tifffile.TiffPage | tifffile.TiffFrame) -> Array
     return pixels.reshape(page.shape) if pixels.ndim == 2 else pixels[:, :, [2, 1, 0, 3][: pixels.shape[2]]]
 
 
-def _spacing(file: tifffile.TiffFile, layout: Layout) -> dict[str, Any]:
+def _spacing(reader: _PlaneReader, layout: Layout) -> dict[str, Any]:
+    """Return what the file says of positions and pixel size, under the names of `Recording`."""
+    file = reader.file
     if file.is_ome:
-        return _ome_spacing(file, layout)
-    if file.is_imagej:
-        return _imagej_spacing(file)
-    if file.is_metaseries:
-        return _metaseries_spacing(file)
-    return {}
+        found = _ome_spacing(file, layout)
+    elif file.is_imagej:
+        found = _imagej_spacing(file)
+    elif MICRO_MANAGER in file.pages.first.tags:
+        found = _micromanager_spacing(reader, layout.count)
+    elif file.is_metaseries:
+        found = _metaseries_spacing(reader, layout.count)
+    else:
+        found = {}
+    if layout.depth == "t":
+        found.pop("step_um", None)
+    return found
 
 
 def _imagej_spacing(file: tifffile.TiffFile) -> dict[str, Any]:
@@ -153,9 +178,18 @@ def _imagej_spacing(file: tifffile.TiffFile) -> dict[str, Any]:
     return spacing
 
 
-def _metaseries_spacing(file: tifffile.TiffFile) -> dict[str, Any]:
+def _micromanager_spacing(reader: _PlaneReader, count: int) -> dict[str, Any]:
+    first = reader.file.pages.first.tags[MICRO_MANAGER].value
+    found = {"pixel_um": first.get("PixelSizeUm") or None}
+    if not reader.file.is_ndtiff:  # whose index knows where pixels are, but not their tags
+        z_um = [reader.page(k).tags[MICRO_MANAGER].value.get("ZPositionUm") for k in range(count)]
+        found["z_um"] = None if None in z_um else np.array(z_um, np.float64)
+    return found
+
+
+def _metaseries_spacing(reader: _PlaneReader, count: int) -> dict[str, Any]:
     try:
-        pages = [_metaseries_table(page) for page in file.pages]
+        pages = [_metaseries_table(reader.page(k)) for k in range(count)]
         z_um = np.array([page["z-position"] for page in pages], np.float64)
         pixel_um = to_um(float(pages[0]["spatial-calibration-x"]), str(pages[0]["spatial-calibration-units"]))
     except (KeyError, ValueError, TypeError, AttributeError, SyntaxError) as error:
@@ -163,9 +197,8 @@ def _metaseries_spacing(file: tifffile.TiffFile) -> dict[str, Any]:
     return {"z_um": z_um, "pixel_um": pixel_um}
 
 
-def _metaseries_table(page: tifffile.TiffPage | tifffile.TiffFrame) -> dict[str, Any]:
-    text = page.aspage().description
-    table: dict[str, Any] = tifffile.tifffile.metaseries_description_metadata(text)["PlaneInfo"]
+def _metaseries_table(page: tifffile.TiffPage) -> dict[str, Any]:
+    table: dict[str, Any] = tifffile.tifffile.metaseries_description_metadata(page.description)["PlaneInfo"]
     return table
 
 

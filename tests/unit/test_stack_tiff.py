@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import shutil
 from typing import TYPE_CHECKING, Any
 
@@ -145,6 +146,18 @@ def test_positions_that_never_change_say_nothing(tmp_path: Path) -> None:
     assert stack.z_um == pytest.approx(1.5 * np.arange(5))
 
 
+OME_SET = (
+    '<?xml version="1.0" encoding="UTF-8"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" '
+    'UUID="urn:uuid:00000000-0000-0000-0000-000000000000"><Image ID="Image:0">'
+    '<Pixels ID="Pixels:0" SizeX="17" SizeY="12" '
+    'SizeZ="3" SizeC="1" SizeT="1" Type="uint16" DimensionOrder="XYZCT" PhysicalSizeZ="2"><Channel ID="Channel:0:0"/>'
+    + "".join(
+        f'<TiffData FirstZ="{k}" IFD="0" PlaneCount="1">'
+        f'<UUID FileName="s{k}.ome.tif">urn:uuid:0000000{k}</UUID></TiffData>'
+        for k in range(3)
+    )
+    + "</Pixels></Image></OME>"
+)
 METASERIES = """<MetaData><PlaneInfo><prop id="spatial-calibration-x" type="float" value="1.25"/>
 <prop id="spatial-calibration-units" type="string" value="um"/><prop id="z-position" type="float" value="{}"/>
 </PlaneInfo><ApplicationName>MetaMorph</ApplicationName></MetaData>"""
@@ -158,6 +171,39 @@ def test_metaseries_positions_over_a_folder(tmp_path: Path) -> None:
     stack = open_stack(tmp_path)
     assert stack.z_um == pytest.approx([100.5, 103.0, 109.0])
     assert stack.pixel_um == pytest.approx(1.25)
+
+
+def test_micro_manager_positions_of_the_chosen_channel(tmp_path: Path) -> None:
+    with tifffile.TiffWriter(tmp_path / "mm.tif") as file:
+        for k in range(5):
+            for channel in range(2):
+                table = json.dumps({"ZPositionUm": 10.0 + 1.5 * k + 0.1 * channel, "PixelSizeUm": 0.4}).encode()
+                tags = [(51123, "s", len(table), table, True)]
+                file.write(PLANES[k] + channel, metadata=None, extratags=tags, contiguous=False)
+    stack = open_stack(tmp_path / "mm.tif")
+    assert stack.pixel_um == 0.4
+    assert len(stack) == 10
+    assert stack.z_um == pytest.approx(np.add.outer(1.5 * np.arange(5), [10.0, 10.1]).ravel())
+
+
+def test_spacing_in_z_says_nothing_about_planes_along_time(tmp_path: Path) -> None:
+    metadata = {"axes": "TYX", "PhysicalSizeZ": 1.0}
+    tifffile.imwrite(tmp_path / "a.ome.tif", PLANES, ome=True, metadata=metadata)
+    stack = open_stack(tmp_path / "a.ome.tif")
+    assert stack.z_um is None
+    assert "the planes run along time" in stack.notes[0]
+
+
+def test_planes_in_several_files_of_one_set(tmp_path: Path) -> None:
+    """OME-TIFF may keep each plane in a file of its own; the first file tells where the others are."""
+    for k in range(3):
+        tifffile.imwrite(tmp_path / f"s{k}.ome.tif", PLANES[k], metadata=None, description=OME_SET)
+    stack = open_stack(tmp_path / "s0.ome.tif")
+    assert np.array_equal(np.stack(list(stack)), PLANES[:3])
+    assert stack.z_um == pytest.approx([0, 2, 4])
+    (tmp_path / "s1.ome.tif").unlink()
+    with pytest.raises(InputError, match="damaged or incomplete"):
+        list(open_stack(tmp_path / "s0.ome.tif"))
 
 
 def test_a_file_of_many_planes_among_single_ones(tmp_path: Path) -> None:
