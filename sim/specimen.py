@@ -109,7 +109,8 @@ def _relief(size_px: tuple[int, int], rng: np.random.Generator) -> list[Sheet]:
     x, y = _grid(size_px)
     ground = _hills(size_px, rng, bumps=4) + 0.35 * (x * rng.choice([-1, 1]) + 0.6 * y)
     surface = ground + _terraces(ground, x, y) + _pits(x, y, rng) + 0.03 * _hills(size_px, rng, bumps=40)
-    return [Sheet(_full_range(surface), _fine_texture(tile_px(size_px), rng))]
+    height = _full_range(surface)
+    return [Sheet(height, np.clip(_mineral(tile_px(size_px), rng) * _shading(height), 0, 1))]
 
 
 def _depth(size_px: tuple[int, int], rng: np.random.Generator) -> list[Sheet]:
@@ -156,10 +157,34 @@ def _full_range(surface: np.ndarray) -> np.ndarray:
     return ((surface - low) * (2 / max(high - low, 1e-6)) - 1).astype(np.float32)
 
 
-def _fine_texture(tile: int, rng: np.random.Generator) -> np.ndarray:
-    """Return a texture with detail of every size from one pixel up, everywhere."""
-    octaves = [_grain(tile, size, rng) for size in (1, 1, 2, 4, 8)]
-    return np.asarray(np.clip(0.5 + 0.17 * np.sum(octaves, axis=0), 0, 1), np.float32)
+def _mineral(tile: int, rng: np.random.Generator) -> np.ndarray:
+    """Return a rock's face: grains of different brightness, dark seams between them, and fine detail everywhere."""
+    octaves = [_grain(tile, size, rng) for size in (1, 1, 2, 4)]
+    grains, seams = _grains(tile, tile // 16, rng)
+    return np.asarray(np.clip(grains - 0.25 * seams + 0.08 * np.sum(octaves, axis=0), 0.05, 1), np.float32)
+
+
+def _grains(tile: int, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Return the brightness of grains that grew from random seeds until they met, and 1 along their seams."""
+    seeds = np.full((tile, tile), 255, np.uint8)
+    y, x = rng.integers(0, tile, (2, count))
+    seeds[y, x] = 0
+    _, grain = cv2.distanceTransformWithLabels(seeds, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    brightness = rng.uniform(0.4, 0.7, count + 2).astype(np.float32)[grain]
+    seams = cv2.morphologyEx(brightness, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
+    return brightness, cv2.GaussianBlur(seams.astype(np.float32), (0, 0), 0.7)
+
+
+def _shading(height: np.ndarray) -> np.ndarray:
+    """Return the light a matt relief of ±1 sends up when lit from the upper left; 1 everywhere if no tile covers it."""
+    tile = tile_px(height.shape[::-1])
+    if max(height.shape) > tile:
+        return np.ones((tile, tile), np.float32)
+    slope_y, slope_x = np.gradient(cv2.GaussianBlur(height, (0, 0), 2.0) * 60)
+    lit = (1 + 0.4 * (slope_x + slope_y)) / np.sqrt(1 + slope_x**2 + slope_y**2)
+    shade = np.ones((tile, tile), np.float32)
+    shade[: height.shape[0], : height.shape[1]] = np.clip(lit, 0.6, 1.3)
+    return shade
 
 
 def _grain(tile: int, size: int, rng: np.random.Generator) -> np.ndarray:
