@@ -159,9 +159,9 @@ def _full_range(surface: np.ndarray) -> np.ndarray:
 
 def _mineral(tile: int, rng: np.random.Generator) -> np.ndarray:
     """Return a rock's face: grains of different brightness, dark seams between them, and fine detail everywhere."""
-    octaves = [_grain(tile, size, rng) for size in (1, 1, 2, 4)]
+    octaves = [_grain(tile, size, rng) for size in (1, 1, 2, 2)]
     grains, seams = _grains(tile, tile // 16, rng)
-    return np.asarray(np.clip(grains - 0.25 * seams + 0.08 * np.sum(octaves, axis=0), 0.05, 1), np.float32)
+    return np.asarray(np.clip(grains - 0.25 * seams + 0.135 * np.sum(octaves, axis=0), 0.05, 1), np.float32)
 
 
 def _grains(tile: int, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -170,7 +170,7 @@ def _grains(tile: int, count: int, rng: np.random.Generator) -> tuple[np.ndarray
     y, x = rng.integers(0, tile, (2, count))
     seeds[y, x] = 0
     _, grain = cv2.distanceTransformWithLabels(seeds, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    brightness = rng.uniform(0.4, 0.7, count + 2).astype(np.float32)[grain]
+    brightness = rng.uniform(0.4, 0.65, count + 2).astype(np.float32)[grain]
     seams = cv2.morphologyEx(brightness, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
     return brightness, cv2.GaussianBlur(seams.astype(np.float32), (0, 0), 0.7)
 
@@ -183,7 +183,7 @@ def _shading(height: np.ndarray) -> np.ndarray:
     slope_y, slope_x = np.gradient(cv2.GaussianBlur(height, (0, 0), 2.0) * 60)
     lit = (1 + 0.4 * (slope_x + slope_y)) / np.sqrt(1 + slope_x**2 + slope_y**2)
     shade = np.ones((tile, tile), np.float32)
-    shade[: height.shape[0], : height.shape[1]] = np.clip(lit, 0.6, 1.3)
+    shade[: height.shape[0], : height.shape[1]] = np.clip(lit, 0.75, 1.25)
     return shade
 
 
