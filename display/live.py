@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import tifffile
 
 from acquire.store import open_run
-from display.stereo import anaglyph, stereo_pair
+from display.stereo import anaglyph, comfortable_pixel, stereo_pair
 from processing import live
 from processing.outputs import write_durably
 from processing.pictures import captioned, png_bytes, preview
@@ -28,9 +28,11 @@ def observe(ring: Path, run: Path, out: Path, options: dict[str, Any], ready: Ca
         Those of `processing.live.observe`, and ``angle_deg``, the angle between the two views.
     """
     live.observe(ring, run, out, options, ready)
-    pixel_um = open_run(run).layout.pixel_um or 1.0
     image = preview(tifffile.imread(out / "extended_focus.tif"))
-    write_stereo(image, tifffile.imread(out / "range.tif"), out, pixel_um=pixel_um, angle_deg=options["angle_deg"])
+    range_um, angle_deg = tifffile.imread(out / "range.tif"), options["angle_deg"]
+    # without a pixel size depth cannot be to scale; it is then what is comfortable to look at
+    pixel_um = open_run(run).layout.pixel_um or comfortable_pixel(range_um, angle_deg=angle_deg)
+    write_stereo(image, range_um, out, pixel_um=pixel_um, angle_deg=angle_deg)
 
 
 def write_stereo(

@@ -275,9 +275,3 @@ LINEAR = linear_table()
 def side_by_side(pair: StereoPair, *, crossed: bool = False) -> Array:
     """Put the views beside each other: for parallel eyes left on the left, for crossed eyes the other way round."""
     return np.hstack([pair.right, pair.left] if crossed else [pair.left, pair.right])
-
-
-def stereo_words(pair: StereoPair, angle_deg: float) -> str:
-    """Return a caption that says how the pair was made."""
-    low, high = pair.parallax_px
-    return f"stereo by shift of planes, {angle_deg:g}° between the views, parallax {low:+.1f} … {high:+.1f} px"
