@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-import pytest
 
 from display.live import write_stereo
 from display.stereo import comfortable_pixel, stereo_pair
@@ -33,6 +32,5 @@ def test_the_pictures_show_the_views(tmp_path: Path) -> None:
     assert np.array_equal(anaglyph[..., 1], pair.right)
 
 
-@pytest.mark.parametrize("pixel_um", [0.1, 0.3])
-def test_what_is_hard_to_look_at_is_told(tmp_path: Path, pixel_um: float) -> None:
-    assert "tires the eyes" in write_stereo(IMAGE, RANGE_UM, tmp_path, pixel_um=pixel_um / 10, angle_deg=8.0)[0]
+def test_what_is_hard_to_look_at_is_told(tmp_path: Path) -> None:
+    assert "tires the eyes" in write_stereo(IMAGE, RANGE_UM, tmp_path, pixel_um=0.02, angle_deg=8.0)[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 import subprocess
 import sys
 from typing import TYPE_CHECKING
@@ -16,7 +17,7 @@ from devices.cli import run
 from processing.outputs import FILES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 PLANES = 9
@@ -201,6 +202,26 @@ def test_results_in_the_way_are_noticed_before_the_work(
     assert said.startswith("error[output-exists]: ")
     assert "measuring" not in said
     assert focus(stack, "-o", tmp_path / "out", "--overwrite", "-q") == 0
+
+
+@pytest.fixture
+def small_disk(stack: Path, tmp_path: Path) -> Iterator[None]:
+    """A limit of file size stands for the full disk: it refuses the same writes and needs no mount."""
+    focus(stack, "-o", tmp_path / "warm", "-q")  # compiled kernels are on disk before it is full
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (6000, hard))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.usefixtures("small_disk")
+def test_a_full_disk_is_one_clear_line_and_leaves_earlier_results(
+    stack: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = {path.name: path.read_bytes() for path in (tmp_path / "warm").iterdir()}
+    assert focus(stack, "-o", tmp_path / "warm", "-q", "--overwrite") == 6
+    assert capsys.readouterr().err.startswith("error[disk-full]: the disk of ")
+    assert {path.name: path.read_bytes() for path in (tmp_path / "warm").iterdir()} == before
 
 
 def test_the_program_itself(stack: Path, tmp_path: Path) -> None:
