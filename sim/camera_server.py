@@ -136,8 +136,8 @@ class CameraServer:
             asked = json.loads(line)
             done = self._actions[asked["do"]](asked)
         except LimitError as error:
-            return {"id": asked["id"], "ok": False, "error": error.what} if "id" in asked else None
-        except (ValueError, TypeError, KeyError) as error:
+            return {"id": asked.get("id"), "ok": False, "error": error.what}
+        except (ValueError, TypeError, KeyError, OverflowError) as error:
             return {"ok": False, "error": f"not understood: {line[:80]!r} ({type(error).__name__})"}
         return None if done is None else {"id": asked.get("id"), "ok": True, **done}
 

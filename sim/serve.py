@@ -31,12 +31,12 @@ DEFAULT_INSTRUMENT = Path(__file__).with_name("default_instrument.toml")
 
 
 def serve(
-    instrument: Path = DEFAULT_INSTRUMENT,
+    instrument: Annotated[Path, Parameter(show_default=False)] = DEFAULT_INSTRUMENT,
     *,
     folder: Annotated[Path | None, Parameter(name="--dir")] = None,
-    fault: Annotated[tuple[str, ...], Parameter(negative="")] = (),
-    tcp: Annotated[bool, Parameter(negative="")] = False,
-    follow_stdin: Annotated[bool, Parameter(negative="")] = False,
+    fault: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = (),
+    tcp: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+    follow_stdin: Annotated[bool, Parameter(negative="", show_default=False)] = False,
 ) -> int:
     """Simulate a bench until stopped: a stage on a serial line and a camera over a specimen with a known relief.
 

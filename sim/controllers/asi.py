@@ -79,6 +79,9 @@ SETTINGS = {
 class Ms2000:
     """The twin: one state, whoever talks to it.
 
+    Backlash ``B`` is kept and told, but the controller's own way of taking it up, beyond the target and back, is not
+    made: whoever drives this axis meets its lost motion.
+
     Parameters
     ----------
     axes : dict of str to Axis

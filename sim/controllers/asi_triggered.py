@@ -29,22 +29,24 @@ class Triggered:
         self.last_relative_um = 0.0
         self._ring: list[float] = []
         self._next = 0
-        self._settings = {"RM": {"Y": 3.0, "Z": 0.0, "F": 1.0}, "TTL": {"X": 0.0, "Y": 0.0, "F": 1.0}}
+        self._settings = {"RM": {"Y": 3.0, "F": 1.0}, "TTL": {"X": 0.0, "Y": 0.0, "F": 1.0}}
         self._stack = {"X": 0.0, "Y": 1.0, "Z": 0.0, "F": 500.0}
         self._stack_index: int | None = None
         self._centre_um = 0.0
         self._last_pulse_s = 0.0
 
     def ring(self, command: Command) -> str:
-        """``RM``: clear, choose axes and mode, count, or step once without a pulse."""
+        """``RM``: clear (X), choose axes (Y), next place (Z) and mode (F), count, or step once without a pulse."""
         if not command.words:
             self._step_ring()
             return ACK
         if command.is_query:
-            return self._told(command, {"X": float(len(self._ring)), **self._settings["RM"]})
+            return self._told(command, self._settings["RM"] | {"X": len(self._ring), "Z": self._next})
         if command.value("X") is not None:
             self._ring, self._next = [], 0
-        return self._set("RM", [word for word in command.words if word.letter != "X"])
+        pointer = command.value("Z")
+        self._next = self._next if pointer is None else max(int(pointer), 0)
+        return self._set("RM", [word for word in command.words if word.letter not in "XZ"])
 
     def load(self, command: Command) -> str:
         """``LD``: append a position, in tenths of a µm."""
@@ -96,7 +98,7 @@ class Triggered:
     def _step_ring(self) -> None:
         if self._ring and int(self._settings["RM"]["Y"]) & Z_BIT:
             self._axis.move_to(self._ring[self._next % len(self._ring)] + self.origin_um)
-            self._next += 1
+            self._next = (self._next + 1) % len(self._ring)
 
     def _repeat(self) -> None:
         self._axis.move_to(self._axis.encoder_um() + self.last_relative_um)

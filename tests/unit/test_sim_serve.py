@@ -16,12 +16,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import serial
+from hypothesis import given
+from hypothesis import strategies as st
 
 from devices.errors import DeviceError, InputError, RigError
 from devices.rig import load_rig
+from devices.values import CameraCaps, Limits
 from sim.bench import build_bench
-from sim.camera_server import FrameFile
+from sim.camera import Replay
+from sim.camera_server import CameraServer, FrameFile
 from sim.clock import SimClock
+from sim.faults import Faults
+from sim.motion import Axis
 from sim.serve import DEFAULT_INSTRUMENT, serve
 
 PROGRAM = [sys.executable, "-c", "from devices.cli import main; main()", "sim", "serve"]
@@ -197,6 +203,22 @@ def test_what_the_camera_does_not_understand_it_says(bench, line):
         camera.socket.sendall(line + b"\n")
         assert camera.hear()["error"].startswith("not understood")
         assert camera.ask("caps")["ok"]
+
+
+values = st.none() | st.integers() | st.floats() | st.text(max_size=5) | st.lists(st.integers(), max_size=2)
+keys = st.sampled_from(["do", "id", "exposure_ms", "start_ns", "end_ns"])
+actions = st.sampled_from(["caps", "configure", "trigger", "truth"])
+questions = st.builds(lambda do, asked: {**asked, "do": do}, actions | values, st.dictionaries(keys, values))
+
+
+@given(st.lists(questions.map(json.dumps).map(str.encode) | st.binary(max_size=20), max_size=5))
+def test_any_line_gets_an_answer_and_does_no_harm(lines):
+    axis = Axis(SimClock(), Limits(-1.0, 1.0))
+    maker = Replay(np.zeros((1, 4, 4), np.uint8), CameraCaps("replay", 4, 4, 1, "uint8", 8, timed=True))
+    with contextlib.closing(CameraServer(maker, axis, Faults((), axis.clock), exposure_ms=1.0)) as camera:
+        for line in lines:
+            assert camera.answer(line)["ok"] in (True, False)
+        assert camera.answer(b'{"id": 5, "do": "trigger"}')["id"] == 5
 
 
 @pytest.mark.parametrize("exposure_ms", [0, -1, 1e9, float("nan")])

@@ -382,8 +382,11 @@ def test_pulses_step_through_the_ring(bench):
         assert bench.ask(command) == ":A \r\n"
     assert bench.ask("RM X?") == ":A X=3\r\n"
     assert pulses(bench, 4) == [1.0, 2.0, 3.5, 1.0]
+    assert bench.ask("RM Z?") == ":A Z=1\r\n"
     assert bench.ask_at_rest("RM") == ":A \r\n"  # a pulse by command
     assert bench.z_um == 2.0
+    bench.ask("RM Z=0")
+    assert pulses(bench, 2) == [1.0, 2.0]
     bench.ask("TTL X=0")
     assert pulses(bench, 1) == [2.0]
 
