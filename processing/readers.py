@@ -149,10 +149,10 @@ def lay_out(axes: str, shape: Sequence[int], choice: Choice, source: Path, chann
         raise InputError(f"{source} holds no images: its axes are {axes}.", fix="give a stack with axes z, y and x.")
     depth = _depth_axis(size, source)
     fixed = {a: 0 for a in axes if a not in "yxs" and a != depth}
+    channel = choose_channel(size.get("c", 1), choice, source, channels)
+    if "c" in fixed:
+        fixed["c"] = channel
     notes = []
-    fixed |= {"c": choose_channel(size.get("c", 1), choice, source, channels)} if "c" in fixed else {}
-    if "c" not in fixed:
-        choose_channel(1, choice, source)
     if depth == "t":
         notes.append("the planes run along time; they are taken as focal planes.")
     elif size.get("t", 1) > 1:

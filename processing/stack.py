@@ -126,6 +126,8 @@ def open_stack(path: Path | str, *, step_um: float | None = None, channel: int |
     source = Path(path)
     with reading(source):
         recording = read_any(source, Choice(channel, time))
+    if not recording.count:
+        raise InputError(f"{source} holds no plane.", fix="give a stack of at least one plane.", code="stack-empty")
     recording = plausible_pixel(camera_depth(guarded(source, recording)))
     z_um, said = positions(recording, step_um)
     recording = replace(recording, notes=(*recording.notes, *said))

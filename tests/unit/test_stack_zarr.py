@@ -66,6 +66,11 @@ def test_one_plane_of_two_axes(tmp_path: Path) -> None:
     assert "nothing can be said about depth" in stack.notes[-1]
 
 
+def test_no_plane_yet(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="holds no plane"):
+        open_stack(write_image(tmp_path / "a.zarr", numbers(0, 6, 7), "zyx"))
+
+
 def test_scale_of_the_whole_image_comes_on_top(tmp_path: Path) -> None:
     path = write_image(tmp_path / "a.zarr", numbers(3, 4, 5), "zyx")
     group = zarr.open_group(path)
