@@ -19,6 +19,7 @@ from acquire.bench import simulated_bench, simulated_rig
 from acquire.engine import FINAL, RunState
 from acquire.progress import progress
 from acquire.recipe import Recipe, load_recipe, plan_stack
+from acquire.recorder import size
 from acquire.session import Outcome, Session, check_disk, cost_of, problems, run_folder
 from acquire.store import RunEnd, is_run, open_run
 from devices.clock import SystemClock
@@ -138,7 +139,7 @@ def _review(recipe: Recipe, spec: RigSpec, folder: Path, *, ask: bool) -> None:
 
 def _summary(plan: StackPlan, cost: Estimate) -> str:
     first, *_, last = [plane.z_um for plane in plan] * 2
-    disk = f"{cost.bytes_on_disk / 1e6:.0f} MB at most" if cost.bytes_on_disk else "size known once the camera answers"
+    disk = f"{size(cost.bytes_on_disk)} at most" if cost.bytes_on_disk else "size known once the camera answers"
     return (
         f"{plan.count} planes from {first:+.3f} to {last:+.3f} µm, step {plan.step_nm / 1000:g} µm, "
         f"{plan.exposure_ms:g} ms each, about {cost.seconds:.0f} s, {disk}"

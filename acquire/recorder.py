@@ -115,8 +115,16 @@ class Recorder:
     def _watch_space(self) -> None:
         """Ask the disk after each plane; what is already in the ring is still stored."""
         if self._low is None and free_bytes(self._store.folder) < self._keep_free_bytes:
-            reserve_gb = self._keep_free_bytes / 1e9
-            self._low = disk_full(f"less than the reserve of {reserve_gb:.1f} GB is free on the disk.")
+            self._low = disk_full(f"less than the reserve of {size(self._keep_free_bytes)} is free on the disk.")
+
+
+def size(count: float) -> str:
+    """Return a number of bytes in words: ``61.0 GB``."""
+    for unit in ("bytes", "kB", "MB"):
+        if count < 1000:
+            return f"{count:.0f} {unit}" if unit == "bytes" else f"{count:.1f} {unit}"
+        count /= 1000
+    return f"{count:.1f} GB"
 
 
 def disk_full(what: str, why: str = SAFE_SO_FAR) -> StoreError:

@@ -15,7 +15,7 @@ from acquire.observe import Observer
 from acquire.ome_zarr import FocalArray
 from acquire.plan import Estimate, estimate
 from acquire.recipe import pace_of, plan_stack
-from acquire.recorder import Recorder, disk_full, ring_slots
+from acquire.recorder import Recorder, disk_full, ring_slots, size
 from acquire.ring import RingWriter, shared_memory_folder
 from acquire.ring_janitor import sweep_stale
 from acquire.store import RunStore, free_bytes
@@ -101,8 +101,8 @@ def check_disk(folder: Path, cost: Estimate, keep_free_gb: float) -> None:
     free = free_bytes(folder.absolute())
     if free < needed_bytes(cost.bytes_on_disk, keep_free_gb):
         raise disk_full(
-            f"the run needs {cost.bytes_on_disk * DISK_MARGIN / 1e9:.1f} GB plus {keep_free_gb:.1f} GB reserve; "
-            f"{free / 1e9:.1f} GB is free.",
+            f"the run needs {size(cost.bytes_on_disk * DISK_MARGIN)} plus {size(keep_free_gb * 1e9)} reserve; "
+            f"{size(free)} is free.",
             why="Nothing was started.",
         )
 

@@ -2,6 +2,7 @@
 
 import json
 import random
+import re
 import signal
 import subprocess
 
@@ -282,3 +283,35 @@ def test_runs_of_a_template_count_up(small, recipe, tmp_path):
     for expected in ("t-01", "t-02"):
         result = stereotome("run", recipe, "-i", small, "--sim", *template, cwd=tmp_path)
         assert result.out.strip() == expected
+
+
+UNCOMPRESSED = ["--set", "output.compression=none", "--set", "stack.step=0.8"]  # 26 planes, 400 kB and their folders
+ON_A_SMALL_DISK = """
+set -u
+mkdir disk && mount -t tmpfs -o size=412k none disk || exit 99
+"$@" --out disk/run
+echo "exit $?"
+shift_to_dry_run() { "$1" "$2" "$3" run --dry-run disk/run; }
+shift_to_dry_run "$@"
+"""
+
+
+def test_a_disk_that_fills_up_ends_the_run_with_every_durable_plane_kept(start_bench, small, recipe, tmp_path):
+    bench = start_bench(small)
+    words = [*f"run {recipe} -i {bench.instrument} --set output.keep_free_gb=0".split(), *UNCOMPRESSED]
+    done = subprocess.run(
+        ["unshare", "-rm", "sh", "-c", ON_A_SMALL_DISK, "sh", *PROGRAM, *words],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        stdin=subprocess.DEVNULL,
+    )
+    if done.returncode in {1, 99} and "exit" not in done.stdout:
+        pytest.skip(f"no small disk can be mounted here: {done.stderr.strip()}")
+    assert "exit 6" in done.stdout, done.stdout + done.stderr
+    assert done.stderr.count("error[") == 1, done.stderr
+    assert "error[disk-full]" in done.stderr
+    assert "Traceback" not in done.stderr
+    kept = int(re.search(r"(\d+) of 26 planes are durable", done.stderr).group(1))
+    assert 0 < kept < 26
+    assert f"FAILED: {kept} of 26 planes are durable and verified" in done.stdout
