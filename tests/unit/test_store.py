@@ -6,6 +6,7 @@ import shutil
 import numpy as np
 import pytest
 import zarr
+from yaozarrs import validate_zarr_store
 
 from acquire.frame import Frame, FrameHeader
 from acquire.ome_zarr import FocalArray
@@ -76,6 +77,18 @@ def test_metadata_states_positions_in_micrometres(store):
     assert scale["scale"] == [1, 1, 2.0, 0.25, 0.25]
     assert translation["translation"] == [0, 0, -10.0, 0, 0]
     assert [p["z_um"] for p in group.attrs["stereotome"]["planes"]] == pytest.approx([-9.99 + 2 * k for k in range(6)])
+
+
+@pytest.mark.parametrize("step_um", [2.0, -2.0])
+def test_an_independent_checker_accepts_it_empty_growing_and_finished(tmp_path, step_um):
+    layout = dataclasses.replace(LAYOUT, step_um=step_um)
+    store = RunStore(tmp_path / "run", {"plan_id": "x"}, layout, SystemClock())
+    validate_zarr_store(str(store.folder / "focal.ome.zarr"))
+    store.put(frame_of(0))
+    store.commit()
+    validate_zarr_store(str(store.folder / "focal.ome.zarr"))
+    store.finalise(RunEnd.CANCELLED)
+    validate_zarr_store(str(store.folder / "focal.ome.zarr"))
 
 
 def test_a_run_with_a_hole_is_never_called_completed(store):
