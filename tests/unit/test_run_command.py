@@ -1,10 +1,12 @@
 """The run command as a user meets it: real processes, a real serial line, and everything that can go wrong."""
 
 import json
+import os
 import random
 import re
 import signal
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -315,3 +317,25 @@ def test_a_disk_that_fills_up_ends_the_run_with_every_durable_plane_kept(start_b
     kept = int(re.search(r"(\d+) of 26 planes are durable", done.stderr).group(1))
     assert 0 < kept < 26
     assert f"FAILED: {kept} of 26 planes are durable and verified" in done.stdout
+
+
+def children_named(pid, name):
+    """Processes started by ``pid`` whose command line holds ``name``."""
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    pids = {int(child) for task in tasks for child in (task / "children").read_text().split()}
+    return [child for child in pids if name in Path(f"/proc/{child}/cmdline").read_text()]
+
+
+def test_an_observer_that_dies_costs_the_run_nothing(start_bench, small, recipe, tmp_path):
+    def kill_the_observer(process, _):
+        (observer,) = children_named(process.pid, "acquire.observe")
+        os.kill(observer, signal.SIGKILL)
+
+    watched = recipe.with_name("watched.toml")
+    watched.write_text(RECIPE + "[process]\nrange_image = true\n")
+    folder = tmp_path / "run"
+    _, code, out, err = interrupted(start_bench, small, watched, folder, 5, kill_the_observer)
+    assert code == 0, err
+    assert json.loads(out.splitlines()[-1])["state"] == "COMPLETED"
+    assert "warning: focus failed" in err
+    assert len(open_run(folder).planes) == 201
