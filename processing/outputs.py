@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import tifffile
 
+from acquire.ome_zarr import sync_folder
 from devices.errors import InputError, StoreError
 from processing.pictures import confidence_map, png_bytes, preview, range_map
 
@@ -111,7 +112,7 @@ def write_focus_result(
                 write_durably(Path(aside) / name, content)
             for name in FILES:
                 (Path(aside) / name).replace(folder / name)
-        _sync(folder)
+        sync_folder(folder)
     except OSError as error:
         raise disk_error(folder, error) from None
     return report
@@ -192,14 +193,6 @@ def write_durably(path: Path, content: bytes) -> None:
         file.write(content)
         file.flush()
         os.fsync(file.fileno())
-
-
-def _sync(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def disk_error(folder: Path, error: OSError) -> StoreError:

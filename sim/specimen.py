@@ -165,12 +165,20 @@ def _mineral(tile: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def _grains(tile: int, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Return the brightness of grains that grew from random seeds until they met, and 1 along their seams."""
+    """Return the brightness of grains that grew from random seeds until they met, and 1 along their seams.
+
+    The tile repeats without a cut: its grains are those in the middle of nine equal ones.
+    """
     seeds = np.full((tile, tile), 255, np.uint8)
     y, x = rng.integers(0, tile, (2, count))
     seeds[y, x] = 0
-    _, grain = cv2.distanceTransformWithLabels(seeds, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    brightness = rng.uniform(0.4, 0.65, count + 2).astype(np.float32)[grain]
+    shades = np.zeros((tile, tile), np.float32)
+    shades[y, x] = rng.uniform(0.4, 0.65, count)
+    _, grain = cv2.distanceTransformWithLabels(np.tile(seeds, (3, 3)), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    shade_of = np.zeros(grain.max() + 1, np.float32)
+    seeded = np.tile(seeds, (3, 3)) == 0
+    shade_of[grain[seeded]] = np.tile(shades, (3, 3))[seeded]
+    brightness = shade_of[grain][tile : 2 * tile, tile : 2 * tile]
     seams = cv2.morphologyEx(brightness, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
     return brightness, cv2.GaussianBlur(seams.astype(np.float32), (0, 0), 0.7)
 
