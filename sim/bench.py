@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from devices.values import Limits
-from sim.controllers.asi import Ms2000
+from devices.toml_write import toml_text
 from sim.motion import Axis, Ringing
 from sim.optics import Optics
 from sim.sensor import Sensor
 from sim.specimen import make_specimen
+from sim.stages import stage_kind
 
 if TYPE_CHECKING:
     from devices.protocols import Clock
     from devices.rig import RigSpec
+    from devices.values import Limits
     from sim.specimen import Specimen
+    from sim.stages import Twin
 
 DEFAULT_SIZE_PX = (512, 512)
 DEFAULT_PIXEL_UM = 3.45
@@ -24,42 +25,8 @@ TOP_SPEED_UM_S = 2000.0
 REACH_UM = 20.0
 SHARE_OF_LIMITS = 0.4
 RING_OUTS_PER_SETTLE = 5
-IDLE_AXES = Limits(-50_000.0, 50_000.0)
 
-INSTRUMENT = """\
-# Written by the simulated bench; it holds as long as this bench runs.
-schema = 1
-name = {name}
-notes = {notes}
-
-[camera]
-driver = "sim"
-address = {camera}
-size_px = [{width}, {height}]
-bit_depth = {bit_depth}
-pixel_um = {pixel_um}
-exposure_ms = {exposure_ms}
-
-[optics]
-magnification = {magnification}
-na = {na}
-medium_index = {medium_index}
-wavelength_um = {wavelength_um}
-
-[stage.z]
-driver = "asi-ms2000"
-port = {stage}
-baud = {baud}
-limits = {{ min_um = {min_um}, max_um = {max_um} }}
-speed_um_s = {speed_um_s}
-settle_ms = {settle_ms}
-backlash_um = {backlash_um}
-{park}
-[sim]
-seed = {seed}
-faults = {faults}
-specimen = {specimen}
-"""
+TITLE = "# Written by the simulated bench; it holds as long as this bench runs.\n"
 
 
 @dataclass(frozen=True)
@@ -70,7 +37,7 @@ class Bench:
     ----------
     axis : Axis
         The truth about z.
-    twin : Ms2000
+    twin : Twin
         The controller that moves it.
     specimen : Specimen
         What is seen.
@@ -80,7 +47,7 @@ class Bench:
 
     spec: RigSpec
     axis: Axis
-    twin: Ms2000
+    twin: Twin
     specimen: Specimen
     sensor: Sensor
 
@@ -113,33 +80,31 @@ def build_bench(spec: RigSpec, clock: Clock) -> Bench:
         exposure_ms=spec.camera.exposure_ms,
         seed=spec.sim.seed,
     )
-    twin = Ms2000({"X": Axis(clock, IDLE_AXES), "Y": Axis(clock, IDLE_AXES), "Z": axis})
-    return Bench(spec, axis, twin, specimen, sensor)
+    return Bench(spec, axis, stage_kind(table.driver).make(axis), specimen, sensor)
 
 
-def instrument_text(bench: Bench, *, camera: str, stage: str) -> str:
-    """Return the instrument file of a bench whose camera and stage have these addresses."""
-    spec, table, limits = bench.spec, bench.spec.stage.z, bench.spec.stage.z.limits
+def instrument_text(bench: Bench, ports: dict[str, str]) -> str:
+    """Return the instrument file of a bench.
+
+    Parameters
+    ----------
+    bench : Bench
+        What it describes; what the file of the instrument left open is told as it is here.
+    ports : dict of str to str
+        Where the devices are: ``camera``, ``z``.
+    """
     height, width = bench.sensor.caps().shape
-    park = "" if table.park_um is None else f"park_um = {table.park_um}\n"
-    return INSTRUMENT.format(
-        **{key: json.dumps(value) for key, value in spec.model_dump(include={"name", "notes"}).items()},
-        **spec.optics.model_dump(),
-        **limits.model_dump(),
-        **table.model_dump(include={"baud", "settle_ms", "backlash_um"}),
-        camera=json.dumps(camera),
-        stage=json.dumps(stage),
-        width=width,
-        height=height,
-        bit_depth=spec.camera.bit_depth,
-        pixel_um=spec.camera.pixel_um or DEFAULT_PIXEL_UM,
-        exposure_ms=spec.camera.exposure_ms,
-        speed_um_s=bench.axis.speed_um_s,
-        park=park,
-        seed=spec.sim.seed,
-        faults=json.dumps(list(spec.sim.faults)),
-        specimen=json.dumps(spec.sim.specimen),
-    )
+    told = bench.spec.model_dump(mode="json", by_alias=True, exclude_none=True)
+    kept = {key: told["camera"][key] for key in ("bit_depth", "exposure_ms")}
+    told["camera"] = {
+        "driver": "sim",
+        "address": ports["camera"],
+        "size_px": [width, height],
+        "pixel_um": bench.spec.camera.pixel_um or DEFAULT_PIXEL_UM,
+        **kept,
+    }
+    told["stage"]["z"].update(port=ports["z"], speed_um_s=bench.axis.speed_um_s)
+    return TITLE + toml_text(told)
 
 
 def _centre_um(limits: Limits) -> float:

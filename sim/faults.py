@@ -1,8 +1,13 @@
-"""Faults on purpose, named in words: ``z.late@3``, ``z.garble@10%``, ``z.stall@12.5um``, ``camera.hang@4``."""
+"""Faults on purpose, named in words: ``z.late@3``, ``feed.garble@10%``, ``z.stall@12.5um``, ``camera.hang@4``.
+
+Faults of the wire strike replies, those of the camera frames; faults of the mechanics are done to a device once, by
+whoever gave its device to `Faults.when_changed`.
+"""
 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -18,14 +23,12 @@ if TYPE_CHECKING:
 LATE_S = 0.7
 NUMBER, SHARE, SECONDS, PLACE = "", "%", "s", "um"
 ONCE, LASTING = (NUMBER, SHARE), (NUMBER, SECONDS)
-KINDS = {
-    "z.silent": LASTING,
-    "z.die": LASTING,
-    "z.drop": ONCE,
-    "z.late": ONCE,
-    "z.garble": ONCE,
-    "z.half": ONCE,
+ON_A_WIRE = {"silent": LASTING, "die": LASTING, "drop": ONCE, "late": ONCE, "garble": ONCE, "half": ONCE}
+SERIAL_DEVICES = ("z", "feed", "glasses")
+KINDS: dict[str, tuple[str, ...]] = {
+    **{f"{device}.{kind}": units for device in SERIAL_DEVICES for kind, units in ON_A_WIRE.items()},
     "z.stall": (PLACE,),
+    "z.limit": (PLACE,),
     "camera.drop": ONCE,
     "camera.hang": LASTING,
 }
@@ -48,6 +51,19 @@ class Fault:
     kind: str
     when: float | None = None
     unit: str = NUMBER
+
+    @property
+    def device(self) -> str:
+        """The device it happens to."""
+        return self.kind.partition(".")[0]
+
+    @property
+    def of_mechanics(self) -> bool:
+        """Whether it is done to a device once, instead of to its replies."""
+        return NUMBER not in KINDS[self.kind]
+
+    def __str__(self) -> str:
+        return self.kind if self.when is None else f"{self.kind}@{self.when:g}{self.unit}"
 
     def strikes(self, number: int, elapsed_s: float, chance: Callable[[], float]) -> bool:
         """Tell whether it strikes the ``number``-th command or frame, counted from 1."""
@@ -106,45 +122,96 @@ class Delayed:
     delay_s: float = 0.0
 
 
+@dataclass(frozen=True)
+class Armed:
+    """A fault that is on, and what had been counted when it was switched on."""
+
+    fault: Fault
+    count: int
+    since_s: float
+
+
 class Faults:
-    """Decides which faults strike; counts commands (``z``) and frames (``camera``).
+    """Decides which faults strike; counts the commands of each device, and the frames of the camera.
+
+    They may be switched on and off at any time, from any thread; a number or a time counts from there.
 
     Parameters
     ----------
     faults : iterable of Fault
-        All of them.
+        Those that are on from the beginning.
     clock : Clock
-        Time since now counts for faults given in seconds.
+        Time.
     seed : int
         Of the shares.
     """
 
     def __init__(self, faults: Iterable[Fault], clock: Clock, *, seed: int = 0) -> None:
-        self._faults = tuple(faults)
         self._clock = clock
-        self._started_s = clock.now()
         self._chance = np.random.default_rng(seed).random
-        self._counts = {"z": 0, "camera": 0}
+        self._counts: Counter[str] = Counter()
+        self._mechanics: dict[str, Callable[[float | None], None]] = {}
+        self._armed: tuple[Armed, ...] = ()
+        for fault in faults:
+            self.switch_on(fault)
 
     @property
-    def stall_um(self) -> float | None:
-        """Where the axis gets stuck, if it does."""
-        return next((fault.when for fault in self._faults if fault.kind == "z.stall"), None)
+    def active(self) -> tuple[Fault, ...]:
+        """Return the faults that are on."""
+        return tuple(armed.fault for armed in self._armed)
+
+    def when_changed(self, kind: str, do: Callable[[float | None], None]) -> None:
+        """Let ``do`` be called with its number when a fault of the mechanics goes on, with None when it goes off."""
+        self._mechanics[kind] = do
+        for fault in self.active:
+            if fault.kind == kind:
+                do(fault.when)
+
+    def switch_on(self, fault: Fault) -> None:
+        """Switch a fault on; one of the same kind that was on ends."""
+        others = tuple(armed for armed in self._armed if armed.fault.kind != fault.kind)
+        self._armed = (*others, Armed(fault, self._counts[fault.device], self._clock.now()))
+        self._done(fault.kind, fault.when)
+
+    def switch_off(self, kind: str) -> bool:
+        """Switch the faults of a kind off and tell whether one was on."""
+        before = self._armed
+        self._armed = tuple(armed for armed in before if armed.fault.kind != kind)
+        self._done(kind, None)
+        return len(self._armed) < len(before)
 
     def strike(self, device: str) -> set[str]:
         """Count one command or frame of a device and return the kinds that strike it."""
         self._counts[device] += 1
-        number, elapsed_s = self._counts[device], self._clock.now() - self._started_s
-        mine = [fault for fault in self._faults if fault.kind.startswith(device) and fault.unit != PLACE]
-        return {fault.kind for fault in mine if fault.strikes(number, elapsed_s, self._chance)}
+        mine = [armed for armed in self._armed if armed.fault.device == device and not armed.fault.of_mechanics]
+        return {armed.fault.kind for armed in mine if self._strikes(armed)}
+
+    def _strikes(self, armed: Armed) -> bool:
+        number = self._counts[armed.fault.device] - armed.count
+        return armed.fault.strikes(number, self._clock.now() - armed.since_s, self._chance)
+
+    def _done(self, kind: str, when: float | None) -> None:
+        if kind in self._mechanics:
+            self._mechanics[kind](when)
 
 
 class FaultyTwin:
-    """A twin whose replies go wrong."""
+    """A twin whose replies go wrong.
 
-    def __init__(self, feed: Callable[[bytes], list[bytes]], faults: Faults) -> None:
+    Parameters
+    ----------
+    feed : callable
+        The twin.
+    faults : Faults
+        What goes wrong.
+    device : str
+        Whose faults are meant.
+    """
+
+    def __init__(self, feed: Callable[[bytes], list[bytes]], faults: Faults, device: str = "z") -> None:
         self._feed = feed
         self._faults = faults
+        self._device = device
 
     def feed(self, data: bytes) -> list[Delayed]:
         """Feed the twin; raises `PortDied` in place of the reply at which it dies."""
@@ -152,18 +219,19 @@ class FaultyTwin:
         return [reply for reply in spoiled if reply.data]
 
     def _spoil(self, reply: bytes) -> Delayed:
-        kinds = self._faults.strike("z")
-        if "z.die" in kinds:
+        kinds = {kind.partition(".")[2] for kind in self._faults.strike(self._device)}
+        if "die" in kinds:
             raise PortDied
-        if kinds & {"z.silent", "z.drop"}:
+        if kinds & {"silent", "drop"}:
             return Delayed(b"")
-        if "z.garble" in kinds:
+        if "garble" in kinds:
             reply = garbled(reply)
-        if "z.half" in kinds:
+        if "half" in kinds:
             reply = reply[: len(reply) // 2]
-        return Delayed(reply, LATE_S if "z.late" in kinds else 0.0)
+        return Delayed(reply, LATE_S if "late" in kinds else 0.0)
 
 
 def garbled(reply: bytes) -> bytes:
     """Return a reply with its bits disturbed, its end intact."""
-    return bytes(byte ^ 0xA5 for byte in reply.rstrip(b"\r\n")) + b"\r\n"
+    said = reply.rstrip(b"\r\n")
+    return bytes(byte ^ 0xA5 for byte in said) + reply[len(said) :]

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import sys
-import tempfile
 from contextlib import ExitStack
 from pathlib import Path
 from threading import Event, Thread
@@ -15,12 +13,13 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from devices.clock import SystemClock
-from devices.errors import InputError
 from devices.rig import load_rig
 from sim.bench import build_bench, instrument_text
+from sim.bench_folder import bench_folder
 from sim.camera_server import CameraServer
-from sim.faults import Faults, FaultyTwin, parse_faults
-from sim.stage_line import StageLine
+from sim.control import Control
+from sim.faults import Faults, parse_faults
+from sim.rack import fill_rack
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -38,9 +37,10 @@ def serve(
     tcp: Annotated[bool, Parameter(negative="", show_default=False)] = False,
     follow_stdin: Annotated[bool, Parameter(negative="", show_default=False)] = False,
 ) -> int:
-    """Simulate a bench until stopped: a stage on a serial line and a camera over a specimen with a known relief.
+    """Simulate every device of an instrument file, on wires, over a specimen with a known relief, until stopped.
 
-    Prints one line of JSON that names the instrument file to use with other commands, and serves until Ctrl-C.
+    Prints one line of JSON that names the instrument file to use with other commands and the control socket, and
+    serves until Ctrl-C.
 
     Parameters
     ----------
@@ -58,10 +58,8 @@ def serve(
     spec = load_rig(instrument)
     faults = Faults(parse_faults((*spec.sim.faults, *fault)), SystemClock(), seed=spec.sim.seed)
     bench = build_bench(spec, SystemClock())
-    if faults.stall_um is not None:
-        bench.axis.obstruct(faults.stall_um)
     with ExitStack() as cleanup:
-        told = _start(bench, faults, _folder(folder, cleanup), cleanup, tcp=tcp)
+        told = _start(bench, faults, cleanup.enter_context(bench_folder(folder)), cleanup, tcp=tcp)
         sys.stdout.write(f"{json.dumps(told)}\n")
         sys.stdout.flush()
         return _wait(follow_stdin=follow_stdin)
@@ -69,20 +67,23 @@ def serve(
 
 def _start(bench: Bench, faults: Faults, folder: Path, cleanup: ExitStack, *, tcp: bool) -> dict[str, object]:
     """Open the ports, write the files, start to serve, and return what the starter wants to know."""
-    line = StageLine(FaultyTwin(bench.twin.feed, faults).feed, bench.spec.stage.z.baud, bench.axis.clock)
-    cleanup.callback(line.close)
+    rack = fill_rack(bench, faults, folder, cleanup, tcp=tcp)
     camera = CameraServer(bench.sensor, bench.axis, faults, exposure_ms=bench.spec.camera.exposure_ms)
     cleanup.callback(camera.close)
-    stage = line.tcp_url if tcp or line.pty_path is None else line.pty_path
+    control = Control(rack, bench.axis, faults)
+    cleanup.callback(control.close)
     truth, instrument = folder / "truth.npz", folder / "instrument.toml"
     bench.specimen.save_truth(truth)
-    instrument.write_text(instrument_text(bench, camera=camera.address, stage=stage), encoding="utf-8")
-    _in_threads(line.serve_pty, line.serve_tcp, camera.serve)
+    ports = {"camera": camera.address, **{name: device.port for name, device in rack.items()}}
+    instrument.write_text(instrument_text(bench, ports), encoding="utf-8")
+    _in_threads(camera.serve, control.serve)
     return {
         "instrument": str(instrument),
-        "stage_pty": line.pty_path,
-        "stage_tcp": line.tcp_url,
+        "ports": ports,
+        "stage_pty": rack["z"].line.pty_path,
+        "stage_tcp": rack["z"].line.tcp_url,
         "camera": camera.address,
+        "control": control.address,
         "truth": str(truth),
         "pid": os.getpid(),
     }
@@ -91,22 +92,6 @@ def _start(bench: Bench, faults: Faults, folder: Path, cleanup: ExitStack, *, tc
 def _in_threads(*serving: Callable[[], None]) -> None:
     for function in serving:
         Thread(target=function, daemon=True).start()
-
-
-def _folder(given: Path | None, cleanup: ExitStack) -> Path:
-    if given is not None:
-        return _usable(given)
-    made = Path(tempfile.mkdtemp(prefix="stereotome-bench-"))
-    cleanup.callback(shutil.rmtree, made, ignore_errors=True)
-    return made
-
-
-def _usable(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as cause:
-        raise InputError(f"--dir {folder}: {cause.strerror}.", fix="name a folder that can be written to.") from cause
-    return folder.absolute()
 
 
 def _wait(*, follow_stdin: bool) -> int:

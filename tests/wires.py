@@ -1,11 +1,9 @@
-"""The program as a user starts it, and a simulated bench behind real wires."""
+"""The program as a user starts it."""
 
 import os
-import signal
 import subprocess
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 PROGRAM = [sys.executable, "-c", "from devices.cli import main; main()"]
 
@@ -29,15 +27,3 @@ def stereotome(*arguments, cwd=None, env=None, **options):
         **options,
     )
     return Result(done.returncode, done.stdout, done.stderr)
-
-
-@dataclass
-class Bench:
-    process: subprocess.Popen
-    instrument: Path
-    truth: Path
-    told: dict
-
-    def kill(self):
-        os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.wait()

@@ -221,7 +221,7 @@ def test_bad_input_is_one_clear_line_and_nothing_is_written(
 @pytest.mark.parametrize("fault", ["z.garble@8", "z.late@8", "z.silent@8"])
 def test_noise_and_silence_on_the_line_never_shift_a_plane(start_bench, small, recipe, tmp_path, fault):
     """One bad reply is asked again; a line that stays silent ends the run. Either way planes are where they say."""
-    bench = start_bench(small, "--fault", fault)
+    bench = start_bench(small, faults=[fault])
     result = stereotome("run", recipe, "-i", bench.instrument, "--out", tmp_path / "run")
     assert "Traceback" not in result.err
     assert result.code in {0, 4, 9}, result.err

@@ -72,11 +72,36 @@ def test_several_faults_add_up():
 def test_garbled_keeps_its_end_and_nothing_else():
     assert garbled(REPLY).endswith(b"\r\n")
     assert not garbled(REPLY).startswith(b":A")
+    assert garbled(b"0\n")[-1:] == b"\n"
+    assert len(garbled(b"\x01\x03")) == 2
 
 
-def test_stall_names_its_place():
-    assert Faults(parse_faults(["z.stall@-12.5um"]), SimClock()).stall_um == -12.5
-    assert Faults((), SimClock()).stall_um is None
+def test_faults_of_the_mechanics_are_done_to_the_device_when_they_go_on_and_undone_when_they_go_off():
+    done = []
+    faults = Faults(parse_faults(["z.stall@-12.5um"]), SimClock())
+    faults.when_changed("z.stall", done.append)
+    faults.switch_on(parse_fault("z.stall@3um"))
+    assert faults.switch_off("z.stall")
+    assert not faults.switch_off("z.stall")
+    assert done == [-12.5, 3.0, None, None]
+    assert faults.strike("z") == set()
+
+
+def test_a_fault_switched_on_later_counts_from_there():
+    clock = SimClock()
+    faults = Faults((), clock)
+    twin = FaultyTwin(lambda _: [REPLY], faults, "feed")
+    assert [twin.feed(b"x") for _ in range(3)] == [WELL] * 3
+    faults.switch_on(parse_fault("feed.drop@2"))
+    faults.switch_on(parse_fault("z.silent"))
+    assert [twin.feed(b"x") for _ in range(3)] == [WELL, [], WELL]
+    assert [str(fault) for fault in faults.active] == ["feed.drop@2", "z.silent"]
+    faults.switch_on(parse_fault("feed.silent@1s"))
+    assert twin.feed(b"x") == WELL
+    clock.sleep(1.0)
+    assert twin.feed(b"x") == []
+    faults.switch_off("feed.silent")
+    assert twin.feed(b"x") == WELL
 
 
 def test_camera_faults_count_frames_alone():

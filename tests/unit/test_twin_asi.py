@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import threading
 from pathlib import Path
 
 import pytest
@@ -19,7 +18,7 @@ from sim.controllers.asi import Ms2000
 from sim.controllers.asi_grammar import LONG_NAMES, Nack, Word, parse
 from sim.faults import LATE_S, Faults, FaultyTwin, parse_faults
 from sim.motion import Axis
-from sim.stage_line import StageLine, converse
+from sim.serial_line import SerialLine, converse
 from sim.uart import as_heard
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "asi_ms2000.log"
@@ -58,10 +57,7 @@ def on_wires(*faults: str, baud: int = 115200):
     clock = SystemClock()
     twin = Ms2000({letter: Axis(clock, LIMITS) for letter in "XYZ"})
     twin.feed(b"S Z=1.5\r")
-    line = StageLine(FaultyTwin(twin.feed, Faults(parse_faults(faults), clock)).feed, baud, clock)
-    threads = [threading.Thread(target=serve, daemon=True) for serve in (line.serve_pty, line.serve_tcp)]
-    for thread in threads:
-        thread.start()
+    line = SerialLine(FaultyTwin(twin.feed, Faults(parse_faults(faults), clock)).feed, baud, clock)
     try:
         yield line
     finally:

@@ -1,4 +1,4 @@
-"""The twin of the stage's controller on real wires: a pseudo-terminal and a TCP port, paced like a serial line."""
+"""A twin on real wires: a pseudo-terminal and a TCP port, paced like a serial line, to be pulled out and put back."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import contextlib
 import os
 import select
 import socket
+import threading
 from bisect import bisect_right
 from typing import TYPE_CHECKING, Protocol
 
@@ -14,6 +15,7 @@ from sim.uart import as_heard, byte_times_s
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from devices.protocols import Clock
     from sim.faults import Delayed
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 CHUNK = 4096
 ISPEED, OSPEED = 4, 5  # places in what tcgetattr returns
 MISHEARD = b":N-1 \r\n"
+UNPLUGGED_WITHIN_S = 5.0
 
 
 class Channel(Protocol):
@@ -109,8 +112,12 @@ class SocketChannel:
         return None
 
 
-def converse(channel: Channel, feed: Callable[[bytes], list[Delayed]], baud: int, clock: Clock) -> None:
+def converse(
+    channel: Channel, feed: Callable[[bytes], list[Delayed]], baud: int, clock: Clock, *, misheard: bytes = MISHEARD
+) -> None:
     """Answer a client until it leaves; bytes take as long as at ``baud``, in both directions.
+
+    What comes at another baud makes no sense: the answer is ``misheard``, as the client's baud lets it hear it.
 
     Raises
     ------
@@ -121,7 +128,7 @@ def converse(channel: Channel, feed: Callable[[bytes], list[Delayed]], baud: int
         clock.sleep(byte_times_s(len(data), baud, 0.0)[-1])
         client_baud = channel.client_baud()
         if client_baud not in (None, baud):
-            channel.write(as_heard(MISHEARD, baud, client_baud or baud))
+            channel.write(as_heard(misheard, baud, client_baud or baud))
             continue
         for reply in feed(data):
             clock.sleep(reply.delay_s)
@@ -138,47 +145,119 @@ def send_paced(channel: Channel, data: bytes, baud: int, clock: Clock) -> None:
         sent = due
 
 
-class StageLine:
-    """The controller on its wires; `serve_pty` and `serve_tcp` each want a thread of their own."""
+class SerialLine:
+    """A twin on its wires. It is plugged in when made; `unplug` lets clients see it vanish, `plug` brings it back.
 
-    def __init__(self, feed: Callable[[bytes], list[Delayed]], baud: int, clock: Clock) -> None:
+    Parameters
+    ----------
+    feed : callable
+        Bytes in, replies out.
+    baud : int
+        Speed of the wire.
+    clock : Clock
+        Paces the bytes.
+    link : Path, optional
+        Where a link to the pseudo-terminal is kept: a name that stays when the line is plugged in again.
+    misheard : bytes
+        What the controller says to bytes of another baud; nothing, if it is one that keeps silent.
+    """
+
+    def __init__(
+        self,
+        feed: Callable[[bytes], list[Delayed]],
+        baud: int,
+        clock: Clock,
+        *,
+        link: Path | None = None,
+        misheard: bytes = MISHEARD,
+    ) -> None:
         self._feed = feed
         self._baud = baud
         self._clock = clock
+        self._link = link
+        self._misheard = misheard
+        self._tcp_port = 0
+        self._pty: PtyChannel | None = None
+        self._listener: socket.socket | None = None
         self._connection: socket.socket | None = None
-        self._listener = socket.create_server(("127.0.0.1", 0), backlog=1)
-        self.tcp_url = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
-        self._pty = PtyChannel(baud) if hasattr(os, "openpty") else None
-        self.pty_path = self._pty.path if self._pty else None
+        self._threads: list[threading.Thread] = []
+        self._changing = threading.RLock()
+        self.pty_path: str | None = None
+        self.plug()
 
-    def serve_pty(self) -> None:
-        """Answer on the pseudo-terminal until the end."""
-        if self._pty is not None:
-            with contextlib.closing(self._pty):
-                self._converse(self._pty)
+    @property
+    def tcp_url(self) -> str:
+        """The network port, as pyserial takes it."""
+        return f"socket://127.0.0.1:{self._tcp_port}"
+
+    @property
+    def port(self) -> str:
+        """The pseudo-terminal, or the network port where there are none."""
+        return self.pty_path or self.tcp_url
+
+    def plug(self) -> None:
+        """Open the ports, under the same names as before; nothing happens when they are open."""
+        with self._changing:
+            if self._listener is not None:
+                return
+            self._listener = socket.create_server(("127.0.0.1", self._tcp_port), backlog=1)
+            self._tcp_port = self._listener.getsockname()[1]
+            self._threads = [_thread(self._serve_tcp, self._listener)]
+            if hasattr(os, "openpty"):
+                self._pty = PtyChannel(self._baud)
+                self.pty_path = self._named(self._pty.path)
+                self._threads.append(_thread(self._serve_pty, self._pty))
+
+    def unplug(self) -> None:
+        """Close all ports and wait until clients can see that they vanished."""
+        with self._changing:
+            listener, self._listener = self._listener, None
+            for end in (listener, self._connection):
+                if end is not None:
+                    _shut(end)
+            if self._pty is not None:
+                self._pty.hang_up()
                 self._pty = None
+                if self._link is not None:
+                    self._link.unlink(missing_ok=True)
+            threads, self._threads = self._threads, []
+        for thread in threads:
+            if thread is not threading.current_thread():
+                thread.join(UNPLUGGED_WITHIN_S)
 
-    def serve_tcp(self) -> None:
-        """Answer one TCP client after the other."""
+    close = unplug
+
+    def _named(self, path: str) -> str:
+        if self._link is None:
+            return path
+        self._link.unlink(missing_ok=True)
+        self._link.symlink_to(path)
+        return str(self._link)
+
+    def _serve_pty(self, pty: PtyChannel) -> None:
+        with contextlib.closing(pty):
+            self._converse(pty)
+
+    def _serve_tcp(self, listener: socket.socket) -> None:
+        """Answer one client after the other."""
         with contextlib.suppress(OSError):
             while True:
-                self._connection, _ = self._listener.accept()
-                with self._connection:
-                    self._converse(SocketChannel(self._connection))
-
-    def close(self) -> None:
-        """Close all ports: clients see them vanish."""
-        for connection in (self._listener, self._connection):
-            if connection is not None:
-                _shut(connection)
-        if self._pty is not None:
-            self._pty.hang_up()
+                self._connection, _ = listener.accept()
+                with self._connection as connection:
+                    if listener is self._listener:
+                        self._converse(SocketChannel(connection))
 
     def _converse(self, channel: Channel) -> None:
         try:
-            converse(channel, self._feed, self._baud, self._clock)
+            converse(channel, self._feed, self._baud, self._clock, misheard=self._misheard)
         except PortDied:
-            self.close()
+            self.unplug()
+
+
+def _thread(function: Callable[..., None], argument: object) -> threading.Thread:
+    thread = threading.Thread(target=function, args=[argument], daemon=True)
+    thread.start()
+    return thread
 
 
 def _shut(connection: socket.socket) -> None:

@@ -1,0 +1,91 @@
+"""The twins of stage controllers by the name of the driver that talks to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+from devices.errors import RigError, did_you_mean
+from devices.values import Limits
+from sim.motion import Axis
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+IDLE_AXES = Limits(-50_000.0, 50_000.0)
+
+
+class Twin(Protocol):
+    """A controller without wires."""
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take bytes as they come and return the replies that are ready."""
+        ...
+
+    def power_cycle(self) -> None:
+        """Be switched off and on: what was not saved is lost."""
+        ...
+
+
+@runtime_checkable
+class Triggered(Protocol):
+    """A controller with a TTL input."""
+
+    def ttl_in(self) -> None:
+        """Take a pulse."""
+        ...
+
+
+@dataclass(frozen=True)
+class StageKind:
+    """How the twin of a driver is made, and what it says to bytes of another baud."""
+
+    make: Callable[[Axis], Twin]
+    misheard: bytes = b""
+
+
+class AsiTwin:
+    """An ASI controller behind its power switch: at power-up it counts from where it stands."""
+
+    def __init__(self, z: Axis) -> None:
+        self._axes = {"X": Axis(z.clock, IDLE_AXES), "Y": Axis(z.clock, IDLE_AXES), "Z": z}
+        self._saved = (z.speed_um_s, z.ramp_s, z.limits)
+        self._switch_on()
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take bytes and return replies."""
+        return self._controller.feed(data)
+
+    def ttl_in(self) -> None:
+        """Take a pulse at the TTL input."""
+        self._controller.ttl_in()
+
+    def power_cycle(self) -> None:
+        """Stop, forget all settings, and count from here."""
+        for axis in self._axes.values():
+            axis.halt()
+        z = self._axes["Z"]
+        z.speed_um_s, z.ramp_s, z.limits = self._saved
+        self._switch_on()
+        self._controller.feed(b"Z\r")
+
+    def _switch_on(self) -> None:
+        from sim.controllers.asi import Ms2000  # noqa: PLC0415  only the twin in use is loaded
+
+        self._controller = Ms2000(self._axes)
+
+
+KINDS = {"asi-ms2000": StageKind(AsiTwin, misheard=b":N-1 \r\n")}
+
+
+def stage_kind(driver: str) -> StageKind:
+    """Return the twin for a driver.
+
+    Raises
+    ------
+    RigError
+        There is none.
+    """
+    if driver not in KINDS:
+        raise RigError(f"no simulated stage for the driver '{driver}'{did_you_mean(driver, list(KINDS))}")
+    return KINDS[driver]
