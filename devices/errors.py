@@ -134,6 +134,12 @@ class StageTimeout(DeviceError):
     code = "stage-timeout"
 
 
+class SequenceBroken(DeviceError):
+    """A hardware-triggered stack lost its step, and it cannot be told which planes are right."""
+
+    code = "stage-sequence"
+
+
 class CameraTimeout(DeviceError):
     """No frame came within its deadline."""
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     import numpy as np
 
-    from devices.values import CameraCaps, FrameStamp, Limits
+    from devices.glasses_timing import Eye, EyewearTiming
+    from devices.values import CameraCaps, FrameStamp, Limits, StageSequence
 
     FrameSink = Callable[[np.ndarray, FrameStamp], None]
 
@@ -86,6 +87,43 @@ class Stage(Protocol):
 
 
 @runtime_checkable
+class SequencedStage(Protocol):
+    """A focus axis that goes through loaded positions by itself, one on each pulse of a camera.
+
+    When it has arrived it gives a pulse back, upon which the camera exposes: no computer is between two planes.
+    """
+
+    def load_sequence(self, positions_um: Sequence[float], longest_wait_s: float) -> StageSequence:
+        """Go to where the sequence begins and get ready for pulses, which come at most ``longest_wait_s`` apart.
+
+        Raises
+        ------
+        LimitError
+            A position, or what the controller adds before or after, is outside the limits; nothing moved.
+        PlanError
+            The controller cannot do this sequence.
+        """
+        ...
+
+    def start_sequence(self) -> None:
+        """Give the pulse upon which the first frame is exposed."""
+        ...
+
+    def end_sequence(self, timeout_s: float) -> float:
+        """Heed pulses no more, wait until the axis rests and return its position in µm."""
+        ...
+
+
+@runtime_checkable
+class HandControls(Protocol):
+    """A device that a hand can move as well, by a joystick or a wheel."""
+
+    def hand_controls(self, *, enabled: bool) -> None:
+        """Let the hand move it, or not: during a run nobody else may."""
+        ...
+
+
+@runtime_checkable
 class Camera(Protocol):
     """A source of frames.
 
@@ -115,4 +153,60 @@ class Camera(Protocol):
 
     def close(self) -> None:
         """Release the camera."""
+        ...
+
+
+@runtime_checkable
+class Eyewear(Protocol):
+    """Shutter glasses. A presenter either shows each flip (`show`), or lets the glasses run free and tells them now and
+    then where the flips are (`lock_to`); `free_running` says which of the two this instrument wants.
+    """
+
+    @property
+    def free_running(self) -> bool:
+        """Whether a presenter calls `lock_to` now and then (True) or `show` at each flip (False)."""
+        ...
+
+    @property
+    def timing(self) -> EyewearTiming:
+        """What was sent and when, CLOCK_MONOTONIC; may be read from any thread."""
+        ...
+
+    def show(self, eye: Eye) -> None:
+        """Give one eye its turn now; ends a free run. No glasses hold one state for long: call it for every frame."""
+        ...
+
+    def both_open(self) -> None:
+        """Let both eyes see, as far as the glasses can; ends a free run."""
+        ...
+
+    def lock_to(self, refresh_hz: float, left_flip_s: float) -> None:
+        """Run free with ``refresh_hz`` turns a second, the left eye's beginning at ``left_flip_s`` and every other turn.
+
+        To be called about four times a second with the time of a recent flip; sends only when the lock is due again or
+        no longer fits. May wait for two turns: not for the thread that flips.
+
+        Raises
+        ------
+        LimitError
+            No rate for glasses; nothing was sent.
+        DeviceError
+            The lock could not be made (glasses-unlocked); `EyewearTiming.locked` is False then.
+        """
+        ...
+
+    def close(self) -> None:
+        """Leave the glasses at rest and release the port."""
+        ...
+
+
+@runtime_checkable
+class TriggeredCamera(Protocol):
+    """A camera that exposes a frame on each pulse at its input and gives a pulse at the end of each exposure."""
+
+    def arm_external(self, frames: int, sink: FrameSink) -> int:
+        """Get ready for a number of pulses and deliver each frame to ``sink``, in the driver's own thread.
+
+        Returns the ``FrameStamp.hw_id`` the first of them will have. `Camera.stop` ends it.
+        """
         ...

@@ -98,3 +98,24 @@ class FrameStamp:
     hw_id: int | None = None
     exposure_start_ns: int | None = None
     exposure_end_ns: int | None = None
+
+
+@dataclass(frozen=True)
+class StageSequence:
+    """Where an axis will stand while its sequence is stepped through.
+
+    Attributes
+    ----------
+    positions_um : tuple of float
+        Where it is while frame 0, 1, … is exposed, and at the end where it rests after the last frame.
+    lead_frames : int
+        Frames exposed before the first position that was asked for.
+    """
+
+    positions_um: tuple[float, ...]
+    lead_frames: int = 0
+
+    @property
+    def frames(self) -> int:
+        """Frames from the first pulse to the last."""
+        return len(self.positions_um) - 1

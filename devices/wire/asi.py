@@ -1,7 +1,7 @@
 """Commands of the ASI MS-2000 and Tiger controllers for their Z axis.
 
-Lengths are in controller units, tenths of a µm as delivered, except where a name says otherwise: speed is in mm/s and
-the controller's own limits in mm. Source: ASI, programming manual of the MS-2000/RM-2000 and Tiger.
+Lengths are in controller units, tenths of a µm as delivered, except where a name says otherwise: speed is in mm/s, the
+controller's own limits and backlash in mm. Source: ASI, programming manual of the MS-2000/RM-2000 and Tiger.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from devices.errors import MalformedReply, Refused
 from devices.wire.exchange import Request
 
 TERMINATOR: Final = b"\r\n"
-RDSTAT_BUSY: Final = 0x01
+RDSTAT_BUSY, RDSTAT_UPPER_LIMIT, RDSTAT_LOWER_LIMIT = 0x01, 0x40, 0x80
 
 _NUMBER = r"([-+]?\d+(?:\.\d+)?)"
 _POSITION = re.compile(rf":A\s+{_NUMBER}")
-_VALUE = re.compile(rf":(?:A )?Z={_NUMBER}(?: A)?")  # both ":A Z=1.5" and ":Z=70 A" are in the field
+_VALUE = re.compile(rf":(?:A )?([A-Z])={_NUMBER}(?: A)?")  # both ":A Z=1.5" and ":Z=70 A" are in the field
 _HALTED = "-21"
 _REFUSALS = {
     "-1": "unknown command",
@@ -31,14 +31,24 @@ _REFUSALS = {
 }
 
 
+def command(words: str, *, repeatable: bool = True) -> Request[None]:
+    """Say something to which ``:A`` is the answer."""
+    return Request(_command(words), _accepted, repeatable)
+
+
+def setting(words: str, letter: str = "Z") -> Request[float]:
+    """Ask for the number the controller keeps under a letter."""
+    return Request(_command(words), lambda reply: _value(reply, letter))
+
+
 def move(target: float) -> Request[None]:
     """Start an absolute move; the reply comes at once, the axis moves on."""
-    return Request(_command(f"M Z={target:.3f}"), _accepted)
+    return command(f"M Z={target:.3f}")
 
 
 def move_by(distance: float) -> Request[None]:
     """Start a relative move; never repeated, for it would go twice as far."""
-    return Request(_command(f"R Z={distance:.3f}"), _accepted, repeatable=False)
+    return command(f"R Z={distance:.3f}", repeatable=False)
 
 
 def where() -> Request[float]:
@@ -56,45 +66,80 @@ def status_byte() -> Request[int]:
     return Request(_command("RS Z"), lambda reply: int(_position(reply)))
 
 
-def halt() -> Request[None]:
-    r"""Stop all axes. ``:N-21`` answers a halt that interrupted a move: it is a success."""
-    return Request(_command("\\"), _halted)
+def halt(word: str = "\\") -> Request[None]:
+    """Stop all axes. ``:N-21`` answers a halt that interrupted a move: it is a success."""
+    return Request(_command(word), _halted)
 
 
 def here(position: float) -> Request[None]:
     """Call the present place ``position``."""
-    return Request(_command(f"H Z={position:.3f}"), _accepted, repeatable=False)
+    return command(f"H Z={position:.3f}", repeatable=False)
 
 
 def set_speed(mm_s: float) -> Request[None]:
     """Set the top speed; a value out of range is clipped without a word, so ask `speed` afterwards."""
-    return Request(_command(f"S Z={mm_s:.6f}"), _accepted)
+    return command(f"S Z={mm_s:.6f}")
 
 
 def speed() -> Request[float]:
     """Ask for the top speed in mm/s."""
-    return Request(_command("S Z?"), _value)
+    return setting("S Z?")
 
 
 def set_limits(lower_mm: float, upper_mm: float) -> tuple[Request[None], Request[None]]:
     """Set the controller's own soft limits."""
-    lower, upper = _command(f"SL Z={lower_mm:.6f}"), _command(f"SU Z={upper_mm:.6f}")
-    return Request(lower, _accepted), Request(upper, _accepted)
+    return command(f"SL Z={lower_mm:.6f}"), command(f"SU Z={upper_mm:.6f}")
 
 
 def limits() -> tuple[Request[float], Request[float]]:
     """Ask for the controller's own soft limits, lower and upper, in mm."""
-    return Request(_command("SL Z?"), _value), Request(_command("SU Z?"), _value)
+    return setting("SL Z?"), setting("SU Z?")
 
 
 def units_per_mm() -> Request[float]:
     """Ask how many controller units make a mm: 10000 as delivered."""
-    return Request(_command("UM Z?"), _value)
+    return setting("UM Z?")
+
+
+def backlash() -> Request[float]:
+    """Ask how far in mm the controller itself goes beyond a target before it comes back; 0 if it does not."""
+    return setting("B Z?")
+
+
+def set_wait(milliseconds: float) -> Request[None]:
+    """Set how long the controller rests after a move before it calls the move completed."""
+    return command(f"WT Z={milliseconds:.0f}")
+
+
+def wait() -> Request[float]:
+    """Ask for the rest after a move in ms."""
+    return setting("WT Z?")
+
+
+def joystick(*, enabled: bool) -> Request[None]:
+    """Let the joystick or the wheel move the axis, or not; some firmware refuses."""
+    return command(f"J Z{'+' if enabled else '-'}")
+
+
+def set_decimals(count: int, card: str) -> Request[None]:
+    """Set how many decimals positions are told with; Tiger only."""
+    return command(f"{card}VB Z={count}")
 
 
 def version() -> Request[str]:
     """Ask for the firmware's name."""
     return Request(_command("V"), lambda reply: _text(reply).removeprefix(":A").strip())
+
+
+def build(card: str = "") -> Request[tuple[str, ...]]:
+    """Ask what the firmware was built with: one line each, the build's name first."""
+    return Request(_command(f"{card}BU X"), lambda reply: tuple(line.strip() for line in _text(reply).split("\r")))
+
+
+def limits_met(status: int) -> str:
+    """Return in words which of the controller's limits a status byte reports, empty for none."""
+    met = [name for name, bit in (("upper", RDSTAT_UPPER_LIMIT), ("lower", RDSTAT_LOWER_LIMIT)) if status & bit]
+    return f"It is at the controller's {' and '.join(met)} limit." if met else ""
 
 
 def _command(words: str) -> bytes:
@@ -138,15 +183,14 @@ def _busy(reply: bytes) -> bool:
 
 
 def _position(reply: bytes) -> float:
-    return _number(_POSITION, reply)
-
-
-def _value(reply: bytes) -> float:
-    return _number(_VALUE, reply)
-
-
-def _number(pattern: re.Pattern[str], reply: bytes) -> float:
-    found = pattern.fullmatch(_text(reply))
+    found = _POSITION.fullmatch(_text(reply))
     if found is None:
         raise _malformed(reply)
     return float(found.group(1))
+
+
+def _value(reply: bytes, letter: str) -> float:
+    found = _VALUE.fullmatch(_text(reply))
+    if found is None or found.group(1) != letter:
+        raise _malformed(reply)
+    return float(found.group(2))

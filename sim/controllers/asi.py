@@ -127,6 +127,12 @@ class Ms2000:
             self._triggered.check_timeout()
             self._triggered.pulse()
 
+    def ttl_out_s(self) -> float | None:
+        """Return when the TTL output rose last or, while a move is under way, will rise; None if never."""
+        with self._one_at_a_time:
+            self._triggered.check_timeout()
+            return self._triggered.out_s()
+
     def _take(self, byte: int) -> bytes:
         if byte in FLUSHES:
             self._input.clear()
@@ -180,7 +186,7 @@ class Ms2000:
     def _drive(self, letter: str, target_um: float) -> None:
         if letter in self._motor_off:
             raise Nack(FAILED)
-        self._axes[letter].move_to(target_um)
+        (self._triggered if letter == "Z" else self._axes[letter]).move_to(target_um)
 
     def _halt(self, _command: Command) -> str:
         was_moving = self._any_moving()
