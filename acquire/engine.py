@@ -8,8 +8,10 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Protocol
 
 from acquire.frame import FrameHeader, Missed
+from acquire.sequence import TriggeredStack
 from acquire.store import RunEnd
 from devices.errors import CameraTimeout, DeviceError, LinkLost, StageStalled, StereotomeError
+from devices.protocols import HandControls
 from devices.values import to_nm, to_um
 
 if TYPE_CHECKING:
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from acquire.plan import Plane, StackPlan
+    from acquire.sequence import TakenPlane
     from devices.protocols import Camera, Clock, Stage
     from devices.values import CameraCaps, FrameStamp
 
@@ -85,9 +88,12 @@ class Policy:
     ----------
     gap_on_error : bool
         Record a plane that cannot be taken as missing and go on, instead of ending the run.
+    triggered : bool
+        Let stage and camera trigger each other; planes that this does not bring are taken one by one.
     """
 
     gap_on_error: bool = False
+    triggered: bool = False
 
 
 class FrameOut(Protocol):
@@ -228,6 +234,7 @@ class Run:
         self._plane = 0
         self._taken = 0
         self._missed: list[Missed] = []
+        self._recorded: set[int] = set()
         self._cancelled = threading.Event()
         self._stopped = threading.Event()
         self._paused = threading.Event()
@@ -267,8 +274,11 @@ class Run:
             self._enter(RunState.ARMING)
             self._arm()
             self._enter(RunState.RUNNING)
+            if self._policy.triggered:
+                self._take_triggered()
             for plane in self._plan:
-                self._take_or_miss(plane)
+                if plane.index not in self._recorded:
+                    self._take_or_miss(plane)
             end = RunEnd.COMPLETED
         except _Cancelled:
             end = RunEnd.CANCELLED
@@ -289,7 +299,46 @@ class Run:
     def _arm(self) -> None:
         self._plan.check(self._stage.limits)
         self._camera.configure(exposure_ms=self._plan.exposure_ms)
+        self._hand_controls(enabled=False)
+        if not self._policy.triggered:
+            self._camera.arm(None, self._gate)
+
+    def _hand_controls(self, *, enabled: bool) -> None:
+        if isinstance(self._stage, HandControls):
+            self._stage.hand_controls(enabled=enabled)
+
+    def _take_triggered(self) -> None:
+        """Take what stage and camera bring about by themselves; a pause is heeded before and after only."""
+        self._wait_while_paused()
+        self._checkpoint()
+        self._phase = Phase.EXPOSING
+        stack = TriggeredStack(
+            self._plan,
+            self._stage,
+            self._camera,
+            self._out,
+            self._clock,
+            utc_ns=self._utc_ns,
+            ended=self._cancelled.is_set,
+            took=self._took,
+        )
+        complaint = stack.take(self._move_timeout_s(self._plan.start_nm))
+        self._checkpoint()
+        left = [plane.index for plane in self._plan if plane.index not in self._recorded]
+        if complaint or left:
+            words = f"triggered stack: {complaint or 'frames were lost'}; taken one by one: {left or 'none'}"
+            self._tell({"event": "warn", "plane": self._plane, "code": "stage-sequence", "message": words})
         self._camera.arm(None, self._gate)
+
+    def _took(self, place: TakenPlane) -> None:
+        self._plane = place.plane
+        self._record(place.plane, place.z_um)
+
+    def _record(self, plane: int, z_um: float) -> None:
+        self._recorded.add(plane)
+        self._taken += 1
+        setpoint_um = to_um(self._plan.start_nm + plane * self._plan.step_nm)
+        self._tell({"event": "plane", "plane": plane, "z_um": z_um, "setpoint_um": setpoint_um})
 
     def _checkpoint(self) -> None:
         if self._cancelled.is_set():
@@ -322,8 +371,7 @@ class Run:
             self._out.check()
             z_um = self._go_to(plane)
             if self._expose(plane, z_um, attempt):
-                self._taken += 1
-                self._tell({"event": "plane", "plane": plane.index, "z_um": z_um, "setpoint_um": plane.z_um})
+                self._record(plane.index, z_um)
                 return
             self._checkpoint()
             self._rearm()
@@ -404,6 +452,7 @@ class Run:
         self._try(self._stage.halt)
         self._try(lambda: self._camera.stop(CAMERA_STOP_S))
         self._try(self._return)
+        self._try(lambda: self._hand_controls(enabled=True))
         self._enter(RunState.FINALISING)
         self._phase = Phase.PERSISTING
         if self.error is not None:

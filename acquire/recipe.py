@@ -60,6 +60,8 @@ class StackSpec(Table):
         Largest distance from setpoint to readback at which a plane is taken.
     on_plane_error : str
         ``fail`` ends the run at a plane that cannot be taken; ``gap`` records it as missing and goes on.
+    trigger : str
+        ``hardware`` lets stage and camera trigger each other over their cables, with no computer between two planes.
     """
 
     top_um: float
@@ -71,6 +73,7 @@ class StackSpec(Table):
     exposure_ms: Positive | None = None
     tolerance_um: Positive = DEFAULT_TOLERANCE_NM / 1000
     on_plane_error: Literal["fail", "gap"] = "fail"
+    trigger: Literal["software", "hardware"] = "software"
 
     @model_validator(mode="after")
     def _makes_sense(self) -> StackSpec:

@@ -18,6 +18,7 @@ from acquire.recipe import pace_of, plan_stack
 from acquire.recorder import Recorder, disk_full, ring_slots, size
 from acquire.ring import RingWriter, shared_memory_folder
 from acquire.ring_janitor import sweep_stale
+from acquire.sequence import check_triggered
 from acquire.store import RunStore, free_bytes
 from devices.errors import InputError, PlanError, StereotomeError
 from devices.values import to_um
@@ -134,6 +135,9 @@ class Session:
     ) -> None:
         self.folder = folder
         self.plan = plan_stack(recipe.stack, rig.spec)
+        triggered = recipe.stack.trigger == "hardware"
+        if triggered:
+            check_triggered(self.plan, rig.stage, rig.camera)
         rig.camera.configure(exposure_ms=self.plan.exposure_ms)  # what it refuses is known before anything is written
         caps = rig.camera.caps()
         self.cost = cost_of(self.plan, rig.spec, caps)
@@ -159,7 +163,7 @@ class Session:
             rig.camera,
             recorder,
             clock,
-            policy=Policy(gap_on_error=recipe.stack.on_plane_error == "gap"),
+            policy=Policy(gap_on_error=recipe.stack.on_plane_error == "gap", triggered=triggered),
             utc_ns=time.time_ns,
             tell=tell,
         )

@@ -16,6 +16,7 @@ import numpy as np
 
 from devices.errors import DeviceError, LimitError
 from sim.camera import NS, Shutter, check_exposure
+from sim.triggered_camera import Burst
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from sim.camera import FrameMaker
     from sim.faults import Faults
     from sim.motion import Axis
+    from sim.triggered_camera import TriggerLines
 
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108  a file system in memory; the file is made by mkstemp
 SLOTS = 4
@@ -94,11 +96,24 @@ def _lock(file: int) -> None:
 class CameraServer:
     """Serves one client at a time.
 
-    ``caps``, ``configure``, ``trigger`` are a camera's; ``truth`` tells how far the axis went between two times, so
-    that a test can prove that nothing moved during an exposure.
+    ``caps``, ``configure``, ``trigger`` are a camera's. ``arm`` lets the stage's pulses trigger a number of frames, which
+    are then sent as they are ready, each to be acknowledged by ``taken``; ``disarm`` ends that. A frame for which there
+    is no slot, because so many are not acknowledged, is lost, and its number missing. ``truth`` tells how far the axis
+    went between two times, so that a test can prove that nothing moved during an exposure.
+
+    Parameters
+    ----------
+    lines : TriggerLines, optional
+        The stage's end of the trigger cables; without them there is no ``arm``.
     """
 
-    def __init__(self, maker: FrameMaker, axis: Axis, faults: Faults, *, exposure_ms: float) -> None:
+    def __init__(
+        self, maker: FrameMaker, axis: Axis, faults: Faults, *, exposure_ms: float, lines: TriggerLines | None = None
+    ) -> None:
+        self._lines = lines
+        self._burst: Burst | None = None
+        self._sent, self._acknowledged = 0, 0
+        self._spare = np.empty(maker.caps().shape, maker.caps().dtype)
         self._axis = axis
         self._faults = faults
         self._caps = maker.caps()
@@ -113,8 +128,12 @@ class CameraServer:
             "caps": self._tell_caps,
             "configure": self._configure,
             "trigger": self._trigger,
+            "arm": self._arm,
+            "taken": self._taken,
+            "disarm": self._disarm,
             "truth": self._truth,
         }
+        self._send: Callable[[Answer], None] = lambda _: None
 
     def serve(self) -> None:
         """Accept clients until closed; a second one at a time hears that the camera is busy."""
@@ -150,13 +169,21 @@ class CameraServer:
             try:
                 self._converse(connection)
             finally:
+                self._end_burst()
                 self._in_use.release()
 
     def _converse(self, connection: socket.socket) -> None:
+        one_at_a_time = threading.Lock()
+
+        def send(answer: Answer) -> None:
+            with one_at_a_time:
+                connection.sendall(json.dumps(answer).encode() + b"\n")
+
+        self._send = send
         for line in connection.makefile("rb"):
             answer = self.answer(line)
             if answer is not None:
-                connection.sendall(json.dumps(answer).encode() + b"\n")
+                send(answer)
 
     def _tell_caps(self, _asked: Answer) -> Answer:
         caps = self._caps
@@ -175,6 +202,46 @@ class CameraServer:
         self._exposed += 1
         if self._faults.strike("camera"):
             return None
+        return {"slot": slot, "hw_id": self._exposed, "exposure_start_ns": start_ns, "exposure_end_ns": end_ns}
+
+    def _arm(self, asked: Answer) -> Answer:
+        """Expose on the stage's pulses; frames carry the ``id`` of this question."""
+        self._end_burst()
+        if self._lines is None:
+            raise ValueError("the stage has no trigger lines")
+
+        def deliver(frame: Answer | None) -> None:
+            if frame is not None:
+                with contextlib.suppress(OSError):
+                    self._send({"id": asked["id"], "ok": True, **frame})
+
+        self._sent = self._acknowledged = 0
+        self._burst = Burst(self._lines, self._axis.clock, self._expose_in_turn, deliver)
+        self._burst.start(int(asked["frames"]))
+        return {"first_hw_id": self._exposed + 1}
+
+    def _taken(self, _asked: Answer) -> None:
+        self._acknowledged += 1
+
+    def _disarm(self, _asked: Answer) -> Answer:
+        self._end_burst()
+        return {}
+
+    def _end_burst(self) -> None:
+        burst, self._burst = self._burst, None
+        if burst is not None:
+            burst.end()
+
+    def _expose_in_turn(self) -> Answer | None:
+        """Expose into the slot after the one sent last; into none, and lose the frame, if that is still being read."""
+        slot, has_room = self._sent % SLOTS, self._sent - self._acknowledged < SLOTS
+        start_ns, end_ns = self._shutter.expose(
+            self._exposure_ms, self._frames.frames[slot] if has_room else self._spare
+        )
+        self._exposed += 1
+        if self._faults.strike("camera") or not has_room:
+            return None
+        self._sent += 1
         return {"slot": slot, "hw_id": self._exposed, "exposure_start_ns": start_ns, "exposure_end_ns": end_ns}
 
     def _truth(self, asked: Answer) -> Answer:

@@ -60,6 +60,10 @@ class AsiTwin:
         """Take a pulse at the TTL input."""
         self._controller.ttl_in()
 
+    def ttl_out_s(self) -> float | None:
+        """Return when the TTL output rose last or will rise at the end of a move."""
+        return self._controller.ttl_out_s()
+
     def power_cycle(self) -> None:
         """Stop, forget all settings, and count from here."""
         for axis in self._axes.values():

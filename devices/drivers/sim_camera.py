@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import mmap
 from pathlib import Path
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from devices.rig import CameraSpec
 
 ANSWER_S = 5.0
+STREAM_SLICE_S = 0.05
 STAMPED = ("hw_id", "exposure_start_ns", "exposure_end_ns")
 SHORTEST_FRAME_TIMEOUT_S = 1.0
 EXPOSURES_PER_TIMEOUT = 5
@@ -47,6 +50,8 @@ class SimCamera:
         self._sink: FrameSink | None = None
         self._frames_left: int | None = None
         self._timeout_s = SHORTEST_FRAME_TIMEOUT_S
+        self._stopped = Event()
+        self._stream: Thread | None = None
         answer = self._ask("caps", ANSWER_S)
         try:
             self._caps = _caps(answer["caps"])
@@ -84,26 +89,56 @@ class SimCamera:
         """
         if self._sink is None or self._frames_left == 0:
             raise DeviceError("camera: triggered without being armed for another frame.")
-        answer = self._ask("trigger", self._timeout_s)
+        self._hand_over(self._ask("trigger", self._timeout_s))
+        self._frames_left = None if self._frames_left is None else self._frames_left - 1
+
+    def arm_external(self, frames: int, sink: FrameSink) -> int:
+        """Get ready for pulses from the stage; frames come in a thread of their own until `stop`.
+
+        Returns the ``hw_id`` of the first of them. Raises `DeviceError` when the bench has no trigger cables.
+        """
+        self._sink, self._frames_left = sink, 0
+        first = self._ask("arm", ANSWER_S, frames=frames, trigger="external")
+        self._stopped.clear()
+        self._stream = Thread(target=self._receive, args=[self._asked], name="camera", daemon=True)
+        self._stream.start()
+        return int(first["first_hw_id"])
+
+    def stop(self, timeout_s: float) -> None:
+        """End the delivery."""
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            self._stopped.set()
+            stream.join(timeout_s)
+            self._ask("disarm", ANSWER_S)
+        self._sink = None
+
+    def close(self) -> None:
+        """Leave the bench."""
+        with contextlib.suppress(DeviceError):
+            self.stop(ANSWER_S)
+        self._wire.close()
+
+    def _receive(self, armed: int) -> None:
+        """Hand over frames until stopped; a broken wire ends it, and the next question says so."""
+        with contextlib.suppress(DeviceError):
+            while not self._stopped.is_set():
+                answer = self._wire.receive(STREAM_SLICE_S)
+                if answer is not None and answer.get("id") == armed:
+                    self._hand_over(_done(answer))
+                    self._wire.send({"do": "taken"})
+
+    def _hand_over(self, answer: dict[str, Any]) -> None:
         arrival_ns = int(self._clock.now() * 1e9)
         try:
             pixels = self._slots[int(answer["slot"])]
             stamp = FrameStamp(arrival_ns, *(int(answer[key]) for key in STAMPED))
         except (KeyError, TypeError, ValueError, OverflowError, IndexError) as cause:
             raise _no_camera(f"{type(cause).__name__}: {cause}", answer) from cause
-        self._frames_left = None if self._frames_left is None else self._frames_left - 1
-        self._sink(pixels, stamp)
+        if self._sink is not None:
+            self._sink(pixels, stamp)
 
-    def stop(self, timeout_s: float) -> None:  # noqa: ARG002  nothing is under way between triggers
-        """End the delivery."""
-        self._sink = None
-
-    def close(self) -> None:
-        """Leave the bench."""
-        self._sink = None
-        self._wire.close()
-
-    def _ask(self, do: str, timeout_s: float, **values: float) -> dict[str, Any]:
+    def _ask(self, do: str, timeout_s: float, **values: float | str) -> dict[str, Any]:
         """Ask and return the answer; answers to older questions, given up on, are passed over."""
         self._asked += 1
         self._wire.send({"id": self._asked, "do": do, **values})

@@ -34,6 +34,7 @@ AT_LIMIT_UM = 0.05
 SHORTEST_RAMP_MS, LONGEST_RAMP_MS = 1.0, 32767.0
 FLUSHES = frozenset(b"\x08\x7f")
 CONTROL = 0xFF
+SWITCHES = ("+", "-")
 BUILD = "STD_XYZ"
 CAPABILITIES = (BUILD, "Motor Axes: X Y Z ", "CMDS: XYZFTR", "RING BUFFER 50", "SEARCH INDEX", "IN0_INT", "DAC OUT")
 FIXED = {"V": ":A Version: USB-9.54 ", "CD": "Jan 15 2024:12:00:00", "SS": ACK, "VB": ACK}
@@ -92,6 +93,7 @@ class Ms2000:
         self._axes = axes
         self._origin_um = dict.fromkeys(axes, 0.0)
         self._motor_off: set[str] = set()
+        self._joystick_off: set[str] = set()
         self._stored = {(name, letter): setting.value for name, setting in SETTINGS.items() for letter in axes}
         self._triggered = Triggered(axes["Z"])
         self._input = bytearray()
@@ -222,12 +224,18 @@ class Ms2000:
     # -- state -------------------------------------------------------------------------------------------------------
 
     def _any_moving(self) -> bool:
-        return any(axis.moving() for axis in self._axes.values())
+        return any(self._under_way(letter) for letter in self._axes)
+
+    def _under_way(self, letter: str) -> bool:
+        """Tell whether an axis moves, or rests after a move as long as ``WT`` says."""
+        wait_s = self._triggered.wait_s if letter == "Z" else 0.0
+        axis = self._axes[letter]
+        return axis.commanded.under_way(axis.clock.now() - wait_s)
 
     def _status(self, command: Command) -> str:
         words = self._addressed(command)
         if command.is_query:
-            return ":A " + "".join("B" if self._axes[word.letter].moving() else "N" for word in words)
+            return ":A " + "".join("B" if self._under_way(word.letter) else "N" for word in words)
         return ":A " + " ".join(str(self._status_byte(word.letter)) for word in words)
 
     def _status_byte(self, letter: str) -> int:
@@ -235,10 +243,10 @@ class Ms2000:
         axis = self._axes[letter]
         ramp = axis.ramp()
         bits = (
-            axis.moving(),
+            self._under_way(letter),
             letter not in self._motor_off,
             axis.moving(),
-            True,
+            letter not in self._joystick_off,
             ramp != 0,
             ramp < 0,
             axis.encoder_um() >= axis.limits.max_um - AT_LIMIT_UM,
@@ -250,9 +258,15 @@ class Ms2000:
         words = self._addressed(command)
         if command.is_query:
             return ":A " + " ".join("0" if word.letter in self._motor_off else "1" for word in words)
-        self._motor_off -= {word.letter for word in words if word.mark == "+"}
-        self._motor_off |= {word.letter for word in words if word.mark == "-"}
+        for word in words:
+            self._switch(self._motor_off, word)
         return ACK
+
+    def _switch(self, off: set[str], word: Word) -> None:
+        if word.mark == "-":
+            off.add(word.letter)
+        elif word.mark == "+":
+            off.discard(word.letter)
 
     def _build(self, command: Command) -> str:
         return "\r".join(CAPABILITIES) if command.words else BUILD
@@ -279,14 +293,19 @@ class Ms2000:
 
     def _set(self, command: Command) -> str:
         for word in self._addressed(command):
-            self._stored[command.name, word.letter] = word.number
-            self._apply(command.name, word)
+            if command.name == "J" and word.mark in SWITCHES:
+                self._switch(self._joystick_off, word)
+            else:
+                self._stored[command.name, word.letter] = word.number
+                self._apply(command.name, word)
         return ACK
 
     def _apply(self, name: str, word: Word) -> None:
         """Let the axis know what concerns it."""
         axis, here_um = self._axes[word.letter], word.number * UM_PER_MM + self._origin_um[word.letter]
-        if name == "S":
+        if name == "WT" and word.letter == "Z":
+            self._triggered.wait_s = max(word.number, 0.0) / 1000
+        elif name == "S":
             axis.set_speed(word.number * UM_PER_MM)
         elif name == "AC":
             axis.ramp_s = min(max(word.number, SHORTEST_RAMP_MS), LONGEST_RAMP_MS) / 1000
