@@ -158,8 +158,10 @@ class Camera(Protocol):
 
 @runtime_checkable
 class Eyewear(Protocol):
-    """Shutter glasses. A presenter either shows each flip (`show`), or lets the glasses run free and tells them now and
-    then where the flips are (`lock_to`); `free_running` says which of the two this instrument wants.
+    """Shutter glasses.
+
+    A presenter either shows each flip (`show`), or lets the glasses run free and tells them now and then where the
+    flips are (`lock_to`); `free_running` says which of the two this instrument wants.
     """
 
     @property
@@ -181,7 +183,7 @@ class Eyewear(Protocol):
         ...
 
     def lock_to(self, refresh_hz: float, left_flip_s: float) -> None:
-        """Run free with ``refresh_hz`` turns a second, the left eye's beginning at ``left_flip_s`` and every other turn.
+        """Run free with ``refresh_hz`` turns a second: the left eye's begin at ``left_flip_s`` and every other turn.
 
         To be called about four times a second with the time of a recent flip; sends only when the lock is due again or
         no longer fits. May wait for two turns: not for the thread that flips.
