@@ -213,6 +213,10 @@ class Profile(Table):
         """Return an action as ordered writes; raises ValueError for a value that does not fit its register."""
         return tuple(self._write(step, supplied) for step in action)
 
+    def write_of(self, name: str, value: int) -> RegisterWrite:
+        """Return the request that sets a named register; raises ValueError as `writes` does."""
+        return self._write(Step(reg=name, v=value), {})
+
     def alarm_words(self, code: int) -> str:
         """Return what an alarm's number means, by the manual's words."""
         known = {int(key, 0): words for key, words in self.alarms.items()}

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
+    from devices.feed_values import KnifeState
     from devices.glasses_timing import Eye, EyewearTiming
     from devices.values import CameraCaps, FrameStamp, Limits, StageSequence
 
@@ -211,4 +212,52 @@ class TriggeredCamera(Protocol):
 
         Returns the ``FrameStamp.hw_id`` the first of them will have. `Camera.stop` ends it.
         """
+        ...
+
+
+@runtime_checkable
+class Feed(Protocol):
+    """What carries a specimen towards a knife or a polishing disc. Depths are absolute and are read back."""
+
+    @property
+    def thickness_limits(self) -> tuple[float, float]:
+        """Least and greatest thickness of one section in nm."""
+        ...
+
+    def advance_to(self, depth_nm: float) -> None:
+        """Feed forward to an absolute depth and read it back; the command is sent once, ever.
+
+        Raises
+        ------
+        LimitError
+            Backwards, too thin, too thick or too deep; nothing was sent.
+        Unsafe
+            Not homed, not ready, knife not clear, or nobody knows whether the command before was executed.
+        DeviceError
+            It was not executed, or stopped elsewhere: an alarm, a limit, something in the way.
+        """
+        ...
+
+    def position_nm(self) -> float:
+        """Read the depth now, in nm."""
+        ...
+
+    def cut(self) -> None:
+        """Take one section: stroke, retract, knife clear, return. The stroke is sent once, ever."""
+        ...
+
+    def knife_state(self) -> KnifeState:
+        """Read the knife's sensors."""
+        ...
+
+    def cut_count(self) -> int:
+        """Read the counter of strokes."""
+        ...
+
+    def halt(self) -> None:
+        """Stop feed and knife; allowed at any time, from any thread."""
+        ...
+
+    def close(self) -> None:
+        """Release the line; feed and knife stay where they are."""
         ...

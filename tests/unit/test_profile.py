@@ -149,7 +149,7 @@ def test_all_mistakes_are_told_at_once():
     text = (
         MINIMAL.replace("a = 4", "a = 3").replace('v = "pos"', 'v = "poss"').replace("max_um = 100.0", "max_um = -1.0")
     )
-    with pytest.raises(RigError, match="own.toml has 3 problems"):
+    with pytest.raises(RigError, match=r"own.toml has 3 problems"):
         parse_profile(text, "own.toml")
 
 

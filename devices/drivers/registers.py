@@ -1,0 +1,109 @@
+"""The registers of one unit, by the names of its profile."""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING
+
+from devices.errors import LinkError, LinkLost, Unsafe
+
+if TYPE_CHECKING:
+    from devices.profile import Action, Bit, Profile
+    from devices.transport.modbus import RegisterBus
+
+log = logging.getLogger(__name__)
+
+SEQ_RANGE = 0x10000
+SEQ_LEAP = 0x101  # a stop may not wait for the mailbox to be read; this is no number it has acknowledged
+
+
+class Registers:
+    """Reads, bit tests and actions of one unit.
+
+    Parameters
+    ----------
+    bus : RegisterBus
+        The line.
+    profile : Profile
+        Its register map; the unit's number is that of its link.
+    """
+
+    def __init__(self, bus: RegisterBus, profile: Profile) -> None:
+        self.bus = bus
+        self.profile = profile
+        self.unit = profile.link.unit
+        self._seq = 0
+
+    def number(self, name: str) -> int:
+        """Read one register or pair."""
+        return self.profile.number_in(name, self.words(name))
+
+    def words(self, name: str) -> list[int]:
+        """Read one register, pair or block as words."""
+        return self.bus.read(self.unit, self.profile.read_of(name))
+
+    def test(self, bit: Bit, seen: dict[str, int]) -> bool:
+        """Test a bit; ``seen`` keeps what was read, so that one look at a register serves all its bits."""
+        if bit.reg not in seen:
+            seen[bit.reg] = self.number(bit.reg)
+        return bool(seen[bit.reg] & bit.mask)
+
+    def do(self, action: Action, **supplied: int) -> None:
+        """Carry out an action: each of its writes once."""
+        for request in self.profile.writes(action, supplied | self._next_seq()):
+            self.bus.write(self.unit, request)
+
+    def put(self, name: str, value: int) -> None:
+        """Write a setting. A lost reply is no matter: the caller reads it back."""
+        try:
+            self.bus.write(self.unit, self.profile.write_of(name, value))
+        except LinkLost:
+            raise
+        except LinkError as error:
+            log.warning("%s the read-back will tell", error.what)
+
+    def do_urgently(self, action: Action) -> None:
+        """Carry out a stop, whatever conversation is going on."""
+        self._seq = (self._seq + SEQ_LEAP) % SEQ_RANGE
+        self.bus.write_urgently(self.unit, self.profile.writes(action, {"seq": self._seq}))
+
+    def check_identity(self) -> None:
+        """Compare registers that have known values; raises `Unsafe` for another drive or a swapped word order."""
+        for identity in self.profile.identify:
+            words = self.words(identity.reg)
+            if self.profile.number_in(identity.reg, words) != identity.v:
+                raise self._other_drive(identity.reg, words, identity.v)
+
+    def check_word_order(self, name: str, low: float, high: float) -> None:
+        """Raise `Unsafe` when a number makes sense only with its words swapped."""
+        words = self.words(name)
+        number, swapped = (self.profile.number_in(name, order) for order in (words, words[::-1]))
+        if not low <= number <= high and low <= swapped <= high:
+            raise swapped_words(name, number, swapped)
+
+    def _next_seq(self) -> dict[str, int]:
+        if self.profile.seq is None:
+            return {}
+        self._seq = (self.number(self.profile.seq.ack) + 1) % SEQ_RANGE
+        return {"seq": self._seq}
+
+    def _other_drive(self, name: str, words: list[int], expected: int) -> Unsafe:
+        number = self.profile.number_in(name, words)
+        if len(words) > 1 and self.profile.number_in(name, words[::-1]) == expected:
+            return swapped_words(name, number, expected)
+        return Unsafe(
+            f"feed: unit {self.unit} has {number} in '{name}', not {expected}. Nothing was moved.",
+            why="It is another drive than the profile describes, or it is set up differently.",
+            fix="check unit and profile; set the drive up as the profile says, or copy the profile and change it.",
+            code="feed-identity",
+        )
+
+
+def swapped_words(name: str, number: int, swapped: int) -> Unsafe:
+    """Return the error for a drive that orders the words of a pair the other way."""
+    return Unsafe(
+        f"feed: '{name}' reads {number}; with its two words swapped it would be {swapped}. Nothing was moved.",
+        why="The drive orders the words of a 32-bit number the other way.",
+        fix='set word_order = "little" (or "big") in [microtome], as in the drive.',
+        code="feed-word-order",
+    )
