@@ -322,8 +322,10 @@ class Run:
             ended=self._cancelled.is_set,
             took=self._took,
         )
-        complaint = stack.take(self._move_timeout_s(self._plan.start_nm))
-        self._checkpoint()
+        try:
+            complaint = stack.take(self._move_timeout_s(self._plan.start_nm))
+        finally:
+            self._checkpoint()  # a halt ends it as a stall: that was the operator, not a fault
         left = [plane.index for plane in self._plan if plane.index not in self._recorded]
         if complaint or left:
             words = f"triggered stack: {complaint or 'frames were lost'}; taken one by one: {left or 'none'}"

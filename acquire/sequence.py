@@ -252,7 +252,7 @@ class TriggeredStack:
     def _complaint(self, gate: SequenceGate, rest_um: float, end_um: float, *, lost: bool, off: bool) -> str:
         said = [f"plane {plane} was exposed at {z_um:+.2f} µm" for plane, z_um in gate.astray.items()]
         if lost:
-            said.append(f"no frame came after number {gate.frames_seen}: a trigger pulse was lost")
+            said.append(f"no frame came after number {gate.frames_seen}: a pulse or frames were lost")
         if off:
             said.append(f"the stage rests at {rest_um:+.2f} µm, not at {end_um:+.2f} µm")
         return "; ".join(said)

@@ -96,9 +96,9 @@ def _lock(file: int) -> None:
 class CameraServer:
     """Serves one client at a time.
 
-    ``caps``, ``configure``, ``trigger`` are a camera's. ``arm`` lets the stage's pulses trigger a number of frames, which
-    are then sent as they are ready, each to be acknowledged by ``taken``; ``disarm`` ends that. A frame for which there
-    is no slot, because so many are not acknowledged, is lost, and its number missing. ``truth`` tells how far the axis
+    ``caps``, ``configure``, ``trigger`` are a camera's. ``arm`` lets the stage's pulses trigger a number of frames; they
+    are sent when they are ready, and each is acknowledged by ``taken``; ``disarm`` ends that. When there is no slot for
+    a frame, because so many are not acknowledged, it is lost, and its number missing. ``truth`` tells how far the axis
     went between two times, so that a test can prove that nothing moved during an exposure.
 
     Parameters

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from devices.errors import RigError, did_you_mean
@@ -47,7 +48,8 @@ class StageKind:
 class AsiTwin:
     """An ASI controller behind its power switch: at power-up it counts from where it stands."""
 
-    def __init__(self, z: Axis) -> None:
+    def __init__(self, z: Axis, *, tiger: bool = False) -> None:
+        self._tiger = tiger
         self._axes = {"X": Axis(z.clock, IDLE_AXES), "Y": Axis(z.clock, IDLE_AXES), "Z": z}
         self._saved = (z.speed_um_s, z.ramp_s, z.limits)
         self._switch_on()
@@ -75,11 +77,15 @@ class AsiTwin:
 
     def _switch_on(self) -> None:
         from sim.controllers.asi import Ms2000  # noqa: PLC0415  only the twin in use is loaded
+        from sim.controllers.asi_tiger import Tiger  # noqa: PLC0415
 
-        self._controller = Ms2000(self._axes)
+        self._controller = (Tiger if self._tiger else Ms2000)(self._axes)
 
 
-KINDS = {"asi-ms2000": StageKind(AsiTwin, misheard=b":N-1 \r\n")}
+KINDS = {
+    "asi-ms2000": StageKind(AsiTwin, misheard=b":N-1 \r\n"),
+    "asi-tiger": StageKind(partial(AsiTwin, tiger=True), misheard=b":N-1\r\n"),
+}
 
 
 def stage_kind(driver: str) -> StageKind:

@@ -45,7 +45,9 @@ class Arrival:
         return now - self._candidate[1] >= self.AGREE_S
 
     def stalled(self, now: float) -> bool:
-        """Tell whether there was no progress for ``STALL_S``."""
+        """Tell whether there was no progress for ``STALL_S``; not while a good reading waits to be confirmed."""
+        if self._candidate is not None:
+            return False
         since = self._progress[1] if self._progress else self._started
         return now - since >= self.STALL_S
 

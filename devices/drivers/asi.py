@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from devices.drivers.asi_axis import AsiStage
@@ -57,6 +57,8 @@ def opened_link(table: AxisSpec, context: DeviceContext) -> Iterator[Link]:
 
 def greeted(stage: AsiTriggeredStage, table: AxisSpec) -> AsiTriggeredStage:
     """Let a controller that answers tell its limits, and set the speed; return the stage."""
+    with suppress(Refused):
+        stage.disarm()
     stage.heed_controller_limits()
     if table.speed_um_s is not None:
         stage.set_speed_um_s(table.speed_um_s)

@@ -61,14 +61,23 @@ class AsiTriggeredStage(AsiStage):
         self._link.ask(ttl.output(ttl.OUT_AFTER_MOVE, self._card.address))
 
     def end_sequence(self, timeout_s: float) -> float:
-        """Heed no more pulses and return where the axis comes to rest, in µm."""
+        """Heed no more pulses and return where the axis comes to rest, in µm.
+
+        The halt at the end is for the linear stack: left alone it would send the axis home at its timeout.
+        """
         self._target_um = None
-        self._link.ask(ttl.on_pulse(ttl.IN_OFF, self._card.address))
-        self._link.ask(ttl.output(ttl.OUT_LOW, self._card.address))
+        self.disarm()
         if self._wait_ms is not None:
             self._link.ask(asi.set_wait(self._wait_ms))
             self._wait_ms = None
-        return self.settle(timeout_s)
+        rest_um = self.settle(timeout_s)
+        self._link.ask(asi.halt(self._card.halt))
+        return rest_um
+
+    def disarm(self) -> None:
+        """Heed no pulses: a program that died may have left the controller armed, and each exposure would move it."""
+        self._link.ask(ttl.on_pulse(ttl.IN_OFF, self._card.address))
+        self._link.ask(ttl.output(ttl.OUT_LOW, self._card.address))
 
     def _load_ring(self, positions_um: Sequence[float]) -> StageSequence:
         places_um = (*positions_um, positions_um[-1])

@@ -87,15 +87,17 @@ class Ms2000:
     ----------
     axes : dict of str to Axis
         Axes by letter, in the order in which the hardware has them; one of them is Z.
+    triggered : Triggered, optional
+        What Z does on pulses; that of an MS-2000 when left out.
     """
 
-    def __init__(self, axes: dict[str, Axis]) -> None:
+    def __init__(self, axes: dict[str, Axis], triggered: Triggered | None = None) -> None:
         self._axes = axes
         self._origin_um = dict.fromkeys(axes, 0.0)
         self._motor_off: set[str] = set()
         self._joystick_off: set[str] = set()
         self._stored = {(name, letter): setting.value for name, setting in SETTINGS.items() for letter in axes}
-        self._triggered = Triggered(axes["Z"])
+        self._triggered = triggered or Triggered(axes["Z"])
         self._input = bytearray()
         self._one_at_a_time = RLock()
         self._handlers: dict[str, Callable[[Command], str]] = {
@@ -150,9 +152,12 @@ class Ms2000:
     def _reply(self, line: str) -> str:
         self._triggered.check_timeout()
         try:
-            return self._execute(parse(line))
+            return self._answer(line)
         except Nack as refusal:
             return str(refusal)
+
+    def _answer(self, line: str) -> str:
+        return self._execute(parse(line))
 
     def _execute(self, command: Command) -> str:
         if command.name in self._handlers:

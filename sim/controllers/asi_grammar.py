@@ -33,6 +33,7 @@ LONG_NAMES = {
     "STATUS": "/",
     "UNITS": "UM",
     "VECTOR": "VE",
+    "VERBOSE": "VB",
     "VERSION": "V",
     "WAIT": "WT",
     "WHERE": "W",
@@ -42,7 +43,7 @@ LARGEST_NUMBER = 1e9
 _LINE = re.compile(r"\s*([\\/!]|[A-Z][A-Z0-9]*)\s*(.*?)\s*")
 _WORD = re.compile(r"([A-Z])\s*(?:=\s*([-+]?(?:\d+\.?\d*|\.\d+))|([?+-]))?(?=\s|$)\s*")
 
-UNKNOWN_COMMAND, BAD_AXIS, MISSING_PARAMETER, OUT_OF_RANGE, FAILED, HALTED = 1, 2, 3, 4, 5, 21
+UNKNOWN_COMMAND, BAD_AXIS, MISSING_PARAMETER, OUT_OF_RANGE, FAILED, BAD_CARD, HALTED = 1, 2, 3, 4, 5, 7, 21
 
 
 class Nack(Exception):
