@@ -37,6 +37,12 @@ class FeedAstray(DeviceError):
     code = "feed-astray"
 
 
+class FeedNotExecuted(DeviceError):
+    """A read-back shows that the command was never executed; it may be given again."""
+
+    code = "feed-not-executed"
+
+
 class FeedUndecided(Unsafe):
     """Nobody can tell whether the feed moved or the knife cut; nothing more is done until it is known."""
 
@@ -54,11 +60,10 @@ def undecided(what: str, cause: DeviceError) -> FeedUndecided:
     return FeedUndecided(f"feed: {what}, and nobody knows whether it was executed.", why=cause.what, fix=LOOK)
 
 
-def not_executed(what: str, cause: DeviceError) -> DeviceError:
+def not_executed(what: str, cause: DeviceError) -> FeedNotExecuted:
     """Return the error for a command that a read-back shows not to have been executed."""
-    return DeviceError(
+    return FeedNotExecuted(
         f"feed: {what} was not executed; nothing moved.",
         why=cause.what,
         fix="see to the cause, then give the command again.",
-        code="feed-not-executed",
     )

@@ -224,9 +224,9 @@ class Profile(Table):
             return known.get(code, "an alarm the profile has no name for")
         return ", ".join(words for bit, words in known.items() if code & bit) or "a bit the profile has no name for"
 
-    def exception_words(self, code: int) -> str | None:
-        """Return what an exception number means on this device, None when the profile does not say."""
-        return {int(key, 0): words for key, words in self.exceptions.items()}.get(code)
+    def exception_words(self) -> dict[int, str]:
+        """Return what exception numbers mean on this device, as far as it differs from the standard."""
+        return {int(key, 0): words for key, words in self.exceptions.items()}
 
     def _write(self, step: Step, supplied: Mapping[str, int]) -> RegisterWrite:
         reg, order = self.reg[step.reg], self.address.word_order

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from pymodbus.client import ModbusSerialClient
 
@@ -16,8 +16,11 @@ from sim.clock import SimClock
 from sim.faults import PortDied
 from sim.feed_line import FeedTwin, build_feed_twin
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 PROFILES = ["leadshine-rs", "applied-motion-scl", "oriental-az", "plc-mailbox"]
-TIMEOUT_S = 0.02
+TIMEOUT_S = 0.008
 
 
 class TwinPort:
@@ -105,7 +108,7 @@ def on_twin(profile: str, **changes: object) -> OnTwin:
         ports.append(client.socket)
         return client
 
-    bus = ModbusBus(connect, name="twin", clock=clock, gap_s=0.0)
+    bus = ModbusBus(connect, name="twin", clock=clock, gap_s=0.0, exceptions=spec.feed_profile().exception_words())
     allowed: list[str] = []
     feed = ModbusFeed(bus, spec, clock, may_cut=lambda: allowed.append("asked"))
     return OnTwin(feed, twin, ports[0], clock, allowed)

@@ -10,7 +10,7 @@ from devices.drivers.feed_drive import ARRIVED_COUNTS, FeedDrive
 from devices.drivers.knife import Knife
 from devices.drivers.registers import Registers
 from devices.errors import DeviceError, LimitError, LinkError, Unsafe
-from devices.feed_errors import FeedAstray, FeedUndecided, KnifeFailed
+from devices.feed_errors import FeedAstray, FeedNotExecuted, FeedUndecided, KnifeFailed
 from devices.feed_spec import KnifeSpec
 from devices.feed_values import FeedState, KnifeState
 from devices.transport.modbus import open_bus
@@ -262,23 +262,21 @@ class ModbusFeed:
     def _move(self, state: FeedState, depth_nm: float) -> None:
         self._check_interlocks()
         here, target = self._fresh_counts(), self._counts(depth_nm)
-        with self._cycle.during(state):
-            self._approach_from_behind(here, target)
+        try:
+            with self._cycle.during(state):
+                self._approach_from_behind(here, target)
+        except FeedNotExecuted:
+            self.resolve()
+            raise
         self._cycle.enter(S.READY)
 
     def _approach_from_behind(self, here: int, target: int) -> None:
         """Take lost motion out: the last way is always forward, and longer than it."""
         slack = round(self.profile.axis.backlash_um * self.profile.axis.counts_per_um)
         run_up = self._behind(min(here, target, key=self._nm), slack)
-        try:
-            if slack:
-                self._expected = self._drive.go(run_up)
-            self._expected = self._drive.go(target)
-        except DeviceError as error:
-            if error.code == "feed-not-executed":
-                self._cycle.enter(S.IDLE)
-                self.resolve()
-            raise
+        if slack:
+            self._expected = self._drive.go(run_up)
+        self._expected = self._drive.go(target)
 
     def _withdraw(self, knife: Knife, depth: int) -> None:
         """Draw the feed back, bring the knife out, return to the same depth, and verify."""
@@ -302,7 +300,7 @@ class ModbusFeed:
     def _bring_out(self, knife: Knife, error: DeviceError) -> None:
         """After a failed stroke: knife out, no feed; what is known afterwards is no more than before."""
         state = self.state
-        if error.code == "feed-not-executed":
+        if isinstance(error, FeedNotExecuted):
             self.resolve()
             return
         if isinstance(error, FeedUndecided | KnifeFailed):
@@ -437,7 +435,7 @@ def open_feed(table: FeedSpec, context: DeviceContext) -> ModbusFeed:
     """
     profile: Profile = table.feed_profile()
     transcript = context.transcript / "feed.jsonl" if context.transcript else None
-    feed = OpenFeed(open_bus(table.port, profile.link, context.clock, transcript), table, context.clock)
+    feed = OpenFeed(open_bus(table.port, profile, context.clock, transcript), table, context.clock)
     try:
         feed.identify()
     except BaseException:

@@ -29,7 +29,7 @@ from devices.transport.ports import open_failure
 from devices.wire.modbus_map import RegisterRead, RegisterWrite
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from devices.profile import LinkTable, Profile
@@ -42,7 +42,6 @@ READ_ATTEMPTS = 3
 NOISY_ROUNDS = 4
 URGENT_WAIT_S = 0.04
 WRITE_TIMEOUT_S = 2.0
-CRC_REJECTED = 8
 EXCEPTIONS = {
     1: "it does not know this function",
     2: "it has no such register",
@@ -93,9 +92,20 @@ class ModbusBus:
         Keeps the silence between requests.
     gap_s : float
         Least silence between requests.
+    exceptions : mapping, optional
+        What exception numbers mean on this device, where it differs from the standard.
     """
 
-    def __init__(self, connect: Callable[[], Any], *, name: str, clock: Clock, gap_s: float) -> None:
+    def __init__(
+        self,
+        connect: Callable[[], Any],
+        *,
+        name: str,
+        clock: Clock,
+        gap_s: float,
+        exceptions: Mapping[int, str] | None = None,
+    ) -> None:
+        self._exceptions = EXCEPTIONS | dict(exceptions or {})
         self.name = name
         self._connect = connect
         self._clock = clock
@@ -234,7 +244,7 @@ class ModbusBus:
         return MalformedReply(f"feed: unit {unit} on {self.name} gave an answer that does not fit.", reply=b"", why=why)
 
     def _refused(self, unit: int, what: str, code: int) -> Refused:
-        words = EXCEPTIONS.get(code, "a number of its own")
+        words = self._exceptions.get(code, "a number of its own")
         return Refused(
             f"feed: unit {unit} refused the {what}: {words} (exception {code}).",
             reason=str(code),
@@ -263,8 +273,8 @@ def frame(unit: int, request: RegisterRead | RegisterWrite, *, rtu: bool = True)
     return framer.buildFrame(pdu)
 
 
-def open_bus(port: str, link: LinkTable, clock: Clock, transcript: Path | None = None) -> ModbusBus:
-    """Open a line as a profile's ``[link]`` says.
+def open_bus(port: str, profile: Profile, clock: Clock, transcript: Path | None = None) -> ModbusBus:
+    """Open a line as a profile says.
 
     Parameters
     ----------
@@ -278,12 +288,13 @@ def open_bus(port: str, link: LinkTable, clock: Clock, transcript: Path | None =
     DeviceError
         device-missing, device-permission, device-busy.
     """
-    note = _Notes(transcript, clock) if transcript else None
+    note, link = _Notes(transcript, clock) if transcript else None, profile.link
 
     def connect() -> ModbusSerialClient | ModbusTcpClient:
         return _serial_client(port, link, note) if link.kind == "rtu" else _tcp_client(port, link, note)
 
-    return ModbusBus(connect, name=port, clock=clock, gap_s=link.gap_ms / 1000)
+    exceptions = profile.exception_words()
+    return ModbusBus(connect, name=port, clock=clock, gap_s=link.gap_ms / 1000, exceptions=exceptions)
 
 
 def _serial_client(port: str, link: LinkTable, note: _Notes | None) -> ModbusSerialClient:
