@@ -20,7 +20,8 @@ from acquire.engine import FINAL, RunState
 from acquire.progress import progress
 from acquire.recipe import Recipe, load_recipe, plan_stack
 from acquire.recorder import size
-from acquire.session import Outcome, Session, check_disk, cost_of, problems, run_folder
+from acquire.resume import interrupted_run
+from acquire.session import Outcome, Session, check_disk, cost_of, new_session, problems, resumed_session, run_folder
 from acquire.store import RunEnd, is_run, open_run
 from devices.clock import SystemClock
 from devices.errors import InputError, PlanError, StereotomeError
@@ -30,19 +31,22 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from acquire.plan import Estimate, StackPlan
+    from acquire.store import StoredRun
     from devices.rig import RigSpec
 
 ENDED_EARLY, STOPPED = 9, 7
+CLOCK = SystemClock()
 RIG_TABLES = ("camera", "optics", "stage", "sim")
 
 
 def run(
-    recipe: Path,
+    recipe: Path | None = None,
     *,
     instrument: Annotated[Path | None, Parameter(name=["--instrument", "-i"])] = None,
     sim: Annotated[bool, Parameter(negative="")] = False,
     set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
     out: Path | None = None,
+    resume: Path | None = None,
     transcript: Path | None = None,
     dry_run: Annotated[bool, Parameter(negative="")] = False,
     yes: Annotated[bool, Parameter(name=["--yes", "-y"], negative="")] = False,
@@ -62,6 +66,8 @@ def run(
         Replace a value of the recipe or the instrument: --set stack.step=0.5
     out
         Folder of the run; must not exist. Without it the recipe's output.folder.
+    resume
+        Folder of a run that ended early: take what it lacks. The run has its own recipe.
     transcript
         Folder in which every exchange with the devices is recorded.
     dry_run
@@ -71,22 +77,57 @@ def run(
     json_
         Write one JSON object a line to standard output.
     """
-    if recipe.is_dir():
+    if recipe is not None and recipe.is_dir():
         return _describe(recipe, dry_run=dry_run, as_json=json_)
-    loaded = load_recipe(recipe, tuple(o for o in set_ if not o.startswith(RIG_TABLES)))
+    on_rig = tuple(given for given in set_ if given.startswith(RIG_TABLES))
+    loaded = None if recipe is None else load_recipe(recipe, tuple(given for given in set_ if given not in on_rig))
+    stored = None if resume is None else interrupted_run(resume, loaded)
     tell = _json_line if json_ else _nothing
+    events: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
     with ExitStack() as stack:
-        spec = _instrument(stack, instrument, [o for o in set_ if o.startswith(RIG_TABLES)], sim=sim)
-        if dry_run:
+        spec = _instrument(stack, instrument, on_rig, sim=sim)
+        if dry_run and loaded is not None:
             return _dry_run(loaded, spec, out, tell)
-        folder = _ready(loaded, spec, out)
-        clock = SystemClock()
-        rig = stack.enter_context(open_rig(spec, clock=clock, transcript=transcript))
-        _review(loaded, spec, folder, ask=not yes)
-        events: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-        session = Session(loaded, rig, folder, clock, events.put)
+        if stored is not None:
+            session = _resumed(stack, stored, spec, transcript, events.put)
+        else:
+            session = _new(stack, _given(loaded), spec, out, transcript, events.put, ask=not yes)
         outcome = _execute(session, events, tell, quiet=json_)
     return _report(outcome, tell)
+
+
+def _given(recipe: Recipe | None) -> Recipe:
+    if recipe is None:
+        raise InputError("no recipe is given.", fix=("name its file", "go on with a run: --resume RUN"), code="usage")
+    return recipe
+
+
+def _new(
+    stack: ExitStack,
+    recipe: Recipe,
+    spec: RigSpec,
+    out: Path | None,
+    transcript: Path | None,
+    tell: Callable[[dict[str, Any]], None],
+    *,
+    ask: bool,
+) -> Session:
+    folder = _ready(recipe, spec, out)
+    rig = stack.enter_context(open_rig(spec, clock=CLOCK, transcript=transcript))
+    _review(recipe, spec, folder, ask=ask)
+    return new_session(recipe, rig, folder, CLOCK, tell)
+
+
+def _resumed(
+    stack: ExitStack,
+    stored: StoredRun,
+    spec: RigSpec,
+    transcript: Path | None,
+    tell: Callable[[dict[str, Any]], None],
+) -> Session:
+    rig = stack.enter_context(open_rig(spec, clock=CLOCK, transcript=transcript))
+    sys.stderr.write(f"going on with {stored.folder}; missing: {ranges(stored.missing)}\n")
+    return resumed_session(stored, rig, CLOCK, tell)
 
 
 def _instrument(stack: ExitStack, path: Path | None, overrides: Sequence[str], *, sim: bool) -> RigSpec:
@@ -151,8 +192,8 @@ def _dry_run(recipe: Recipe, spec: RigSpec, out: Path | None, tell: Callable[[di
     plan = plan_stack(recipe.stack, spec)
     cost = cost_of(plan, spec, None)
     each_s = cost.seconds / plan.count
-    for plane in plan:
-        moves_um = [target_nm / 1000 for target_nm in plan.moves_nm(plane)]
+    for plane, moves_nm in plan.route():
+        moves_um = [target_nm / 1000 for target_nm in moves_nm]
         event = {"event": "plan", "plane": plane.index, "z_um": plane.z_um, "moves_um": moves_um}
         tell({**event, "at_s": round(plane.index * each_s, 2)})
         if tell is _nothing:
@@ -262,9 +303,9 @@ def _describe(folder: Path, *, dry_run: bool, as_json: bool) -> int:
         raise InputError(f"{folder} is not a run folder.", why="It has no run.json and journal.jsonl.", code="no-run")
     if not dry_run:
         raise InputError(
-            f"{folder} is a run; continuing one is not possible yet.",
-            fix=(f"see what it lacks: stereotome run --dry-run {folder}", "take the stack again in a new folder"),
-            code="no-resume",
+            f"{folder} is a run, not a recipe.",
+            fix=(f"see what it lacks: stereotome run --dry-run {folder}", f"go on with it: --resume {folder}"),
+            code="is-run",
         )
     stored = open_run(folder)
     if stored.state is not RunEnd.RUNNING:

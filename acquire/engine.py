@@ -15,7 +15,7 @@ from devices.protocols import HandControls
 from devices.values import to_nm, to_um
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
 
     import numpy as np
 
@@ -96,8 +96,16 @@ class Policy:
     triggered: bool = False
 
 
-class FrameOut(Protocol):
-    """Where frames go; `acquire.recorder.Recorder` at the bench."""
+class TakesFrames(Protocol):
+    """Whatever a frame can be handed to."""
+
+    def put(self, pixels: np.ndarray, header: FrameHeader) -> None:
+        """Take over one frame; the pixels are copied."""
+        ...
+
+
+class FrameOut(TakesFrames, Protocol):
+    """Where the frames of a run go; `acquire.recorder.Recorder` at the bench."""
 
     @property
     def durable(self) -> int:
@@ -106,10 +114,6 @@ class FrameOut(Protocol):
 
     def check(self) -> None:
         """Raise if no further plane can be kept."""
-        ...
-
-    def put(self, pixels: np.ndarray, header: FrameHeader) -> None:
-        """Take over one frame; the pixels are copied."""
         ...
 
     def missed(self, missed: Missed) -> None:
@@ -133,7 +137,7 @@ class FrameGate:
     readout. Everything else a free-running camera delivers is counted and let go.
     """
 
-    def __init__(self, out: FrameOut, caps: CameraCaps, exposure_ms: float) -> None:
+    def __init__(self, out: TakesFrames, caps: CameraCaps, exposure_ms: float) -> None:
         self._out = out
         self._caps = caps
         self._before_arrival_ns = round((exposure_ms + caps.readout_ms) * 1e6)
@@ -203,6 +207,7 @@ class Run:
         RUNNING → FINALISING → COMPLETED | COMPLETED_WITH_GAPS
         ARMING | RUNNING → FINALISING → FAILED
 
+    Planes in ``done`` were taken by an earlier part of the run and are passed over.
     `execute` does all of it in the calling thread; `pause`, `resume`, `cancel` and `stop` may be called from any other.
     Whatever happens, the stage is told to halt and, unless `stop` was called or the stage failed, goes to the
     position the plan states.
@@ -217,6 +222,7 @@ class Run:
         clock: Clock,
         *,
         policy: Policy = Policy(),
+        done: Collection[int] = (),
         utc_ns: Callable[[], int] = lambda: 0,
         tell: Callable[[dict[str, Any]], None] = lambda _: None,
     ) -> None:
@@ -226,6 +232,7 @@ class Run:
         self._out = out
         self._clock = clock
         self._policy = policy
+        self._before: Plane | None = None
         self._utc_ns = utc_ns
         self._tell = tell
         self._gate = FrameGate(out, camera.caps(), plan.exposure_ms)
@@ -234,7 +241,7 @@ class Run:
         self._plane = 0
         self._taken = 0
         self._missed: list[Missed] = []
-        self._recorded: set[int] = set()
+        self._recorded = set(done)
         self._cancelled = threading.Event()
         self._stopped = threading.Event()
         self._paused = threading.Event()
@@ -274,7 +281,7 @@ class Run:
             self._enter(RunState.ARMING)
             self._arm()
             self._enter(RunState.RUNNING)
-            if self._policy.triggered:
+            if self._policy.triggered and not self._recorded:
                 self._take_triggered()
             for plane in self._plan:
                 if plane.index not in self._recorded:
@@ -387,11 +394,13 @@ class Run:
         self._phase = Phase.MOVING
         z_um = float("nan")
         for _ in range(STAGE_TRIES):
-            for target_nm in self._plan.moves_nm(plane):
+            for target_nm in self._plan.moves_nm(plane, self._before):
                 z_um = self._move(target_nm)
+            self._before = plane
             if abs(to_nm(z_um) - plane.z_nm) <= self._plan.tolerance_nm:
                 return z_um
             self._stage.halt()
+            self._before = None
         raise StageStalled(
             f"z stage: sent to {plane.z_um:+.3f} µm, it rests at {z_um:+.3f} µm, more than "
             f"{to_um(self._plan.tolerance_nm):g} µm away.",

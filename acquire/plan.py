@@ -77,19 +77,26 @@ class StackPlan:
     def __iter__(self) -> Iterator[Plane]:
         return (Plane(k, self.start_nm + k * self.step_nm) for k in range(self.count))
 
-    def moves_nm(self, plane: Plane) -> tuple[int, ...]:
+    def moves_nm(self, plane: Plane, after: Plane | None) -> tuple[int, ...]:
         """Return the targets visited to reach a plane from its approach side: one or two positions.
 
-        A plane that follows its neighbour in the approach direction needs no detour.
+        A plane that lies in the approach direction from the one taken before, ``after``, needs no detour.
         """
-        with_the_grain = self.step_nm * self.approach > 0 and plane.index > 0
+        with_the_grain = after is not None and (plane.z_nm - after.z_nm) * self.approach > 0
         if with_the_grain or self.overshoot_nm == 0:
             return (plane.z_nm,)
         return (plane.z_nm - self.approach * self.overshoot_nm, plane.z_nm)
 
+    def route(self) -> Iterator[tuple[Plane, tuple[int, ...]]]:
+        """Return every plane with the targets visited to reach it when the whole stack is taken."""
+        before = None
+        for plane in self:
+            yield plane, self.moves_nm(plane, before)
+            before = plane
+
     def targets_nm(self) -> list[int]:
         """Return every position the stage will be sent to, the way back included."""
-        visited = [target for plane in self for target in self.moves_nm(plane)]
+        visited = [target for _, moves in self.route() for target in moves]
         return visited if self.return_nm is None else [*visited, self.return_nm]
 
     def check(self, limits: Limits) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -16,6 +16,7 @@ from acquire.ome_zarr import FocalArray
 from acquire.plan import Estimate, estimate
 from acquire.recipe import pace_of, plan_stack
 from acquire.recorder import Recorder, disk_full, ring_slots, size
+from acquire.resume import check_same_instrument, check_same_view, stored_plan, stored_recipe
 from acquire.ring import RingWriter, shared_memory_folder
 from acquire.ring_janitor import sweep_stale
 from acquire.sequence import check_triggered
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
     from acquire.plan import StackPlan
     from acquire.recipe import Recipe
+    from acquire.store import StoredRun
     from devices.protocols import Clock
     from devices.rig import Rig, RigSpec
     from devices.values import CameraCaps
@@ -128,42 +130,48 @@ def cost_of(plan: StackPlan, spec: RigSpec, caps: CameraCaps | None) -> Estimate
 
 
 class Session:
-    """A run ready to start. `run` is the engine to pause or cancel; `execute` does everything and returns."""
+    """A run ready to start. `run` is the engine to pause or cancel; `execute` does everything and returns.
+
+    Made by `new_session` or `resumed_session`.
+    """
 
     def __init__(
-        self, recipe: Recipe, rig: Rig, folder: Path, clock: Clock, tell: Callable[[dict[str, Any]], None]
+        self,
+        recipe: Recipe,
+        rig: Rig,
+        plan: StackPlan,
+        make_store: Callable[[CameraCaps], RunStore],
+        clock: Clock,
+        tell: Callable[[dict[str, Any]], None],
     ) -> None:
-        self.folder = folder
-        self.plan = plan_stack(recipe.stack, rig.spec)
+        self.plan = plan
         triggered = recipe.stack.trigger == "hardware"
         if triggered:
-            check_triggered(self.plan, rig.stage, rig.camera)
-        rig.camera.configure(exposure_ms=self.plan.exposure_ms)  # what it refuses is known before anything is written
-        caps = rig.camera.caps()
-        self.cost = cost_of(self.plan, rig.spec, caps)
+            check_triggered(plan, rig.stage, rig.camera)
         self._tell = tell
-        self._clock = clock
-        self._recipe = recipe
-        check_disk(folder, self.cost, recipe.output.keep_free_gb)
+        rig.camera.configure(exposure_ms=plan.exposure_ms)  # what it refuses is known before anything is written
+        caps = rig.camera.caps()
         sweep_stale(shared_memory_folder())
         with ExitStack() as undo:
             slots = ring_slots(caps.frame_bytes, free_bytes(shared_memory_folder()))
             ring = RingWriter.create("run", caps.shape, caps.dtype, slots, clock=clock)
             undo.callback(ring.close)
-            manifest = _manifest(recipe, rig.spec, self.plan, caps)
-            store = RunStore(folder, manifest, _layout(self.plan, recipe, rig.spec, caps), clock)
+            store = make_store(caps)
             undo.callback(store.close)
+            done = store.durable_planes
             keep_free = round(recipe.output.keep_free_gb * 1e9)
             recorder = Recorder(store, ring, clock, keep_free_bytes=keep_free)
             undo.pop_all()
-        self._observers = _start_observers(recipe, ring.path, folder)
+        self.folder = store.folder
+        self._observers = _start_observers(recipe, ring.path, store.folder)
         self.run = Run(
-            self.plan,
+            plan,
             rig.stage,
             rig.camera,
             recorder,
             clock,
             policy=Policy(gap_on_error=recipe.stack.on_plane_error == "gap", triggered=triggered),
+            done=done,
             utc_ns=time.time_ns,
             tell=tell,
         )
@@ -180,6 +188,39 @@ class Session:
         warnings += [said for observer in self._observers if (said := observer.finish(OBSERVER_END_S))]
         status = self.run.status
         return Outcome(state, self.run.error, self.folder, status.durable, status.planned, tuple(warnings))
+
+
+def new_session(
+    recipe: Recipe, rig: Rig, folder: Path, clock: Clock, tell: Callable[[dict[str, Any]], None]
+) -> Session:
+    """Make ready a run in a folder of its own; raises if the disk cannot hold it."""
+    plan = plan_stack(recipe.stack, rig.spec)
+
+    def make_store(caps: CameraCaps) -> RunStore:
+        check_disk(folder, cost_of(plan, rig.spec, caps), recipe.output.keep_free_gb)
+        manifest = _manifest(recipe, rig.spec, plan, caps)
+        return RunStore.create(folder, manifest, _layout(plan, recipe, rig.spec, caps), clock)
+
+    return Session(recipe, rig, plan, make_store, clock, tell)
+
+
+def resumed_session(stored: StoredRun, rig: Rig, clock: Clock, tell: Callable[[dict[str, Any]], None]) -> Session:
+    """Make ready the rest of a run that ended early.
+
+    Raises
+    ------
+    Unsafe
+        The instrument or the view is not that of the run.
+    """
+    recipe, plan = stored_recipe(stored), stored_plan(stored)
+    rig.camera.configure(exposure_ms=plan.exposure_ms)
+    caps = rig.camera.caps()
+    check_same_instrument(stored, rig.spec, caps)
+    rest = replace(cost_of(plan, rig.spec, caps), bytes_on_disk=len(stored.missing) * caps.frame_bytes)
+    check_disk(stored.folder, rest, recipe.output.keep_free_gb)
+    plan.check(rig.stage.limits)
+    check_same_view(stored, rig, clock)
+    return Session(recipe, rig, plan, lambda _: RunStore.reopen(stored.folder, clock), clock, tell)
 
 
 def _start_observers(recipe: Recipe, ring: Path, folder: Path) -> list[Observer]:

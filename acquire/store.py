@@ -27,6 +27,7 @@ from devices.errors import InputError, StoreError
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
+    from typing import Self
 
     from devices.protocols import Clock
 
@@ -104,24 +105,54 @@ class RunStore:
     irreversible happens.
     """
 
-    def __init__(self, folder: Path, manifest: dict[str, Any], layout: FocalArray, clock: Clock) -> None:
+    def __init__(self, folder: Path, name: str, layout: FocalArray, journal: diary.Journal) -> None:
         self.folder = folder
+        self.journal = journal
         self._layout = layout
-        self._name = str(manifest.get("name", folder.name))
+        self._name = name
         self._image = folder / "focal.ome.zarr"
         self._pending: list[PlaneRecord] = []
         self._records: dict[int, PlaneRecord] = {}
         self._published = 0
-        _make_skeleton(folder, manifest, layout, self._name)
-        self.journal = diary.Journal(folder / "journal.jsonl", clock)
-        sync_folder(folder)
-        self.journal.append({"e": "run_created", "plan_id": manifest["plan_id"], "planned": layout.planned})
         self._files = _PlaneFiles(self._image / "0", layout)
+
+    @classmethod
+    def create(cls, folder: Path, manifest: dict[str, Any], layout: FocalArray, clock: Clock) -> Self:
+        """Make the folder of a new run; raises `InputError` if it exists."""
+        name = str(manifest.get("name", folder.name))
+        _make_skeleton(folder, manifest, layout, name)
+        journal = diary.Journal(folder / "journal.jsonl", clock)
+        sync_folder(folder)
+        journal.append({"e": "run_created", "plan_id": manifest["plan_id"], "planned": layout.planned})
+        return cls(folder, name, layout, journal)
+
+    @classmethod
+    def reopen(cls, folder: Path, clock: Clock) -> Self:
+        """Go on with a run that ended early; what its journal calls durable stays as it is.
+
+        Raises
+        ------
+        StoreError
+            Another process is writing the run (``run-busy``), or its journal is damaged.
+        """
+        journal = diary.Journal(folder / "journal.jsonl", clock)  # holds the lock before anything is read
+        stored = StoredRun(folder)
+        journal.append({"e": "resumed", "durable": len(stored.planes)})
+        store = cls(folder, str(stored.manifest.get("name", folder.name)), stored.layout, journal)
+        store._records = dict(stored.planes)
+        if stored.planes:
+            store._publish()
+        return store
 
     @property
     def durable(self) -> int:
         """Number of planes that are on disk, verified and in the journal."""
         return len(self._records)
+
+    @property
+    def durable_planes(self) -> frozenset[int]:
+        """Which planes these are."""
+        return frozenset(self._records)
 
     def put(self, frame: Frame) -> None:
         """Write one plane, read it back and compare; it counts as durable from the next `commit` on."""
@@ -245,8 +276,10 @@ class StoredRun:
         """Read the journal again: a run in progress has more planes now."""
         records, _ = diary.read(self.folder / "journal.jsonl")
         self.planes = {record["plane"]: _plane_record(record) for record in records if record["e"] == "plane"}
-        self.missed = {r["plane"]: str(r["reason"]) for r in records if r["e"] == "missed"}
-        self._end = next((r for r in reversed(records) if r["e"] == "end"), None)
+        missed = {r["plane"]: str(r["reason"]) for r in records if r["e"] == "missed"}
+        self.missed = {plane: reason for plane, reason in missed.items() if plane not in self.planes}
+        last = next((r for r in reversed(records) if r["e"] in {"end", "resumed"}), {"e": "none"})
+        self._end = last if last["e"] == "end" else None
 
     @property
     def state(self) -> RunEnd:

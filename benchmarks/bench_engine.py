@@ -91,7 +91,7 @@ def recorded(folder, planes):
     stage, camera = bench(clock)
     ring = RingWriter.create("bench", SHAPE, "uint16", 32, clock=clock)
     layout = FocalArray(planes, SHAPE, "uint16", start_um=0.0, step_um=0.1, pixel_um=None)
-    recorder = Recorder(RunStore(folder, {"plan_id": "bench"}, layout, clock), ring, clock)
+    recorder = Recorder(RunStore.create(folder, {"plan_id": "bench"}, layout, clock), ring, clock)
     state = Run(plan(planes), stage, camera, recorder, clock).execute()
     stored = open_run(folder)
     headers = [stored.planes[k].header for k in sorted(stored.planes)]

@@ -24,7 +24,7 @@ def pixels(layout, plane):
 
 
 def finished(folder, layout, planes=range(4)):
-    store = RunStore(folder, {"name": "wing", "plan_id": "x"}, layout, SystemClock())
+    store = RunStore.create(folder, {"name": "wing", "plan_id": "x"}, layout, SystemClock())
     for k in planes:
         start_ns = 1_000_000_000 + 50_000_000 * k
         header = FrameHeader(k, -3.0 + 1.5 * k, -2.99 + 1.5 * k, 12.5, exposure_start_ns=start_ns)

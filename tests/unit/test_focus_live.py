@@ -37,7 +37,7 @@ class Bench:
         clock = SystemClock()
         layout = FocalArray(PLANES, (*SHAPE, *bands), "uint8", 10.0, -0.5, 0.65)
         self.folder = folder / "run"
-        self.store = RunStore(self.folder, {"plan_id": "p", "name": "live"}, layout, clock)
+        self.store = RunStore.create(self.folder, {"plan_id": "p", "name": "live"}, layout, clock)
         self.ring = RingWriter.create("test", layout.shape, "uint8", 4, clock=clock, folder=folder)
         self.keeper = RingReader.attach(self.ring.path, "lossless", clock=clock)
 

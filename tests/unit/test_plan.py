@@ -32,12 +32,22 @@ def test_every_plane_stands_at_start_plus_k_steps(plan):
 @given(plans.filter(lambda plan: plan.overshoot_nm > 0))
 def test_every_plane_is_reached_in_the_approach_direction(plan):
     position = None
-    for plane in plan:
-        for target in plan.moves_nm(plane):
+    for plane, moves_nm in plan.route():
+        for target in moves_nm:
             before, position = position, target
         assert position == plane.z_nm
         assert before is not None
         assert (position - before) * plan.approach > 0
+
+
+@given(plans.filter(lambda plan: plan.overshoot_nm > 0), st.data())
+def test_so_is_a_plane_after_a_gap_and_the_first_one(plan, data):
+    first, last = sorted(data.draw(st.tuples(*[st.integers(0, plan.count - 1)] * 2)))
+    planes = list(plan)
+    *way, end = plan.moves_nm(planes[last], planes[first] if first < last else None)
+    start = way[-1] if way else planes[first].z_nm
+    assert end == planes[last].z_nm
+    assert (end - start) * plan.approach > 0
 
 
 @given(plans)

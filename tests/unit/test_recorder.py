@@ -25,7 +25,7 @@ def recorder(folder, planned, **options):
     clock = SystemClock()
     layout = FocalArray(planned, SHAPE, "uint16", start_um=0.0, step_um=1.0, pixel_um=None)
     ring = RingWriter.create("test", SHAPE, "uint16", 4, clock=clock)
-    return Recorder(RunStore(folder, {"plan_id": "x"}, layout, clock), ring, clock, **options)
+    return Recorder(RunStore.create(folder, {"plan_id": "x"}, layout, clock), ring, clock, **options)
 
 
 def header(plane):

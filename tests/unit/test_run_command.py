@@ -167,6 +167,62 @@ def test_ctrl_c_ends_after_the_plane_keeps_the_data_and_goes_back(start_bench, s
     assert stage_position_um(bench) == pytest.approx(0.0, abs=0.2)
 
 
+def killed_run(start_bench, small, recipe, folder, planes=9):
+    bench, *_ = interrupted(start_bench, small, recipe, folder, planes, lambda process, _: process.kill())
+    return bench, open_run(folder).planes
+
+
+def test_a_killed_run_goes_on_where_it_was(start_bench, small, recipe, tmp_path):
+    folder = tmp_path / "run"
+    bench, before = killed_run(start_bench, small, recipe, folder)
+    result = stereotome("run", "--resume", folder, "-i", bench.instrument)
+    assert result.code == 0, result.err
+    run = open_run(folder)
+    assert (run.state, run.missing) == (RunEnd.COMPLETED, [])
+    assert {plane: run.planes[plane] for plane in before} == before
+    assert [run.planes[k].header.z_um for k in range(201)] == pytest.approx(
+        [-10 + 0.1 * k for k in range(201)], abs=0.2
+    )
+    for plane in run.planes:
+        run.read(plane)
+    again = stereotome("run", "--resume", folder, "-i", bench.instrument)
+    assert again.code == 2
+    one_clear_error(again, "nothing-missing")
+
+
+def test_a_run_does_not_go_on_over_another_specimen(start_bench, small, recipe, tmp_path):
+    folder = tmp_path / "run"
+    killed_run(start_bench, small, recipe, folder)
+    journal = (folder / "journal.jsonl").read_bytes()
+    other = small.with_name("other.toml")
+    other.write_text(SMALL_BENCH + "[sim]\nseed = 8\n")
+    result = stereotome("run", "--resume", folder, "-i", start_bench(other).instrument)
+    assert result.code == 5, result.err
+    one_clear_error(result, "other-view")
+    assert (folder / "journal.jsonl").read_bytes() == journal
+
+
+@pytest.mark.parametrize(
+    "change", [("na = 0.45", "na = 0.3"), ("[96, 80]", "[64, 64]"), ("max_um = 100.0", "max_um = 50.0")]
+)
+def test_a_run_does_not_go_on_with_another_instrument(start_bench, small, recipe, tmp_path, change):
+    folder = tmp_path / "run"
+    killed_run(start_bench, small, recipe, folder, planes=2)
+    other = small.with_name("other.toml")
+    other.write_text(SMALL_BENCH.replace(*change))
+    result = stereotome("run", "--resume", folder, "-i", start_bench(other).instrument)
+    assert result.code == 5, result.err
+    one_clear_error(result, "other-instrument")
+
+
+def test_a_run_does_not_go_on_with_another_recipe(start_bench, small, recipe, tmp_path):
+    folder = tmp_path / "run"
+    bench, _ = killed_run(start_bench, small, recipe, folder, planes=2)
+    result = stereotome("run", recipe, "--resume", folder, "-i", bench.instrument)
+    assert result.code == 3
+    one_clear_error(result, "other-recipe")
+
+
 def stage_position_um(bench):
     """Ask the twin over the network, past the program."""
     import socket
@@ -248,6 +304,12 @@ def test_no_instrument_is_said_with_both_ways_out(recipe):
     result = stereotome("run", recipe)
     assert result.code == 3
     assert "--sim" in result.err
+
+
+def test_neither_recipe_nor_run_is_said(small):
+    result = stereotome("run", "-i", small)
+    assert result.code == 2
+    one_clear_error(result, "usage")
 
 
 def test_a_folder_that_is_no_run(tmp_path):

@@ -160,7 +160,7 @@ def test_the_array_itself_points_to_its_image(tmp_path: Path) -> None:
 
 def take_run(folder: Path, planes: np.ndarray, z_um: list[float], skip: tuple[int, ...] = ()) -> Path:
     layout = FocalArray(len(planes), planes.shape[1:], str(planes.dtype), 5.0, 1.0, 0.5)
-    store = RunStore(folder, {"plan_id": "t"}, layout, SystemClock())
+    store = RunStore.create(folder, {"plan_id": "t"}, layout, SystemClock())
     for k, plane in enumerate(planes):
         if k not in skip:
             store.put(Frame(k, FrameHeader(k, 5.0 + k, z_um[k], 10.0), plane))

@@ -29,7 +29,7 @@ def frame_of(plane, layout=LAYOUT):
 
 @pytest.fixture
 def store(tmp_path):
-    return RunStore(tmp_path / "run", {"name": "t", "plan_id": "x"}, LAYOUT, SystemClock())
+    return RunStore.create(tmp_path / "run", {"name": "t", "plan_id": "x"}, LAYOUT, SystemClock())
 
 
 def published(store):
@@ -50,7 +50,7 @@ def test_a_stranger_reads_what_was_committed_and_no_more(store):
 
 def test_colour_planes_become_channels(tmp_path):
     layout = dataclasses.replace(LAYOUT, shape=(40, 56, 3), dtype="uint8")
-    store = RunStore(tmp_path / "run", {"plan_id": "x"}, layout, SystemClock())
+    store = RunStore.create(tmp_path / "run", {"plan_id": "x"}, layout, SystemClock())
     store.put(frame_of(0, layout))
     store.commit()
     np.testing.assert_array_equal(np.moveaxis(published(store)[0, :, 0], 0, -1), pixels_of(0, layout))
@@ -82,7 +82,7 @@ def test_metadata_states_positions_in_micrometres(store):
 @pytest.mark.parametrize("step_um", [2.0, -2.0])
 def test_an_independent_checker_accepts_it_empty_growing_and_finished(tmp_path, step_um):
     layout = dataclasses.replace(LAYOUT, step_um=step_um)
-    store = RunStore(tmp_path / "run", {"plan_id": "x"}, layout, SystemClock())
+    store = RunStore.create(tmp_path / "run", {"plan_id": "x"}, layout, SystemClock())
     validate_zarr_store(str(store.folder / "focal.ome.zarr"))
     store.put(frame_of(0))
     store.commit()
@@ -144,10 +144,53 @@ def test_the_shape_catches_up_with_the_journal(store):
 def test_a_folder_that_exists_is_never_written_into(tmp_path):
     (tmp_path / "run").mkdir()
     with pytest.raises(InputError, match="exists already"):
-        RunStore(tmp_path / "run", {"plan_id": "x"}, LAYOUT, SystemClock())
+        RunStore.create(tmp_path / "run", {"plan_id": "x"}, LAYOUT, SystemClock())
     assert list((tmp_path / "run").iterdir()) == []
 
 
 def test_something_else_is_not_a_run(tmp_path):
     with pytest.raises(InputError, match="is not a run folder"):
         open_run(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A run of six planes taken without interruption, without its last word."""
+    folder = tmp_path_factory.mktemp("whole") / "run"
+    store = RunStore.create(folder, {"name": "t", "plan_id": "x"}, LAYOUT, SystemClock())
+    for plane in range(LAYOUT.planned):
+        store.put(frame_of(plane))
+        store.commit()
+    store.close()
+    return folder
+
+
+@pytest.mark.parametrize("torn_bytes", [0, 1, 60])
+@pytest.mark.parametrize("records", range(1, LAYOUT.planned + 2))
+def test_killed_at_any_record_a_run_goes_on_to_the_same_end(tmp_path, whole, records, torn_bytes):
+    folder = tmp_path / "run"
+    shutil.copytree(whole, folder)
+    lines = (folder / "journal.jsonl").read_bytes().splitlines(keepends=True)
+    torn = lines[records][:torn_bytes] if records < len(lines) else b""
+    (folder / "journal.jsonl").write_bytes(b"".join(lines[:records]) + torn)
+    assert open_run(folder).missing == list(range(records - 1, LAYOUT.planned))
+    store = RunStore.reopen(folder, SystemClock())
+    for plane in sorted(set(range(LAYOUT.planned)) - store.durable_planes):
+        store.put(frame_of(plane))
+    assert store.finalise(RunEnd.COMPLETED) is RunEnd.COMPLETED
+    store.close()
+    run = open_run(folder)
+    assert (run.state, run.missing) == (RunEnd.COMPLETED, [])
+    for plane in range(LAYOUT.planned):
+        np.testing.assert_array_equal(run.read(plane), pixels_of(plane))
+    assert published(store).shape[2] == LAYOUT.planned
+
+
+def test_a_run_that_goes_on_is_not_ended(store):
+    store.put(frame_of(0))
+    store.finalise(RunEnd.CANCELLED)
+    store.close()
+    again = RunStore.reopen(store.folder, SystemClock())
+    assert open_run(store.folder).state is RunEnd.RUNNING
+    again.close()
+    assert open_run(store.folder).state is RunEnd.INTERRUPTED
