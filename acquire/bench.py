@@ -28,7 +28,7 @@ class Bench:
 
 
 @contextmanager
-def simulated_bench(instrument: Path | None, folder: Path) -> Iterator[Bench]:
+def simulated_bench(instrument: Path | None, folder: Path, overrides: Sequence[str] = ()) -> Iterator[Bench]:
     """Run the simulated bench while the context lasts; it also ends when this process dies.
 
     Parameters
@@ -37,6 +37,8 @@ def simulated_bench(instrument: Path | None, folder: Path) -> Iterator[Bench]:
         The instrument file it stands in for; None takes the bench's own default.
     folder : Path
         Where the bench writes its instrument file and its truth.
+    overrides : sequence of str
+        Values that replace those of the instrument file: ``"optics.na=0.3"``.
 
     Raises
     ------
@@ -44,8 +46,9 @@ def simulated_bench(instrument: Path | None, folder: Path) -> Iterator[Bench]:
         The bench did not start; its own words are passed on.
     """
     named = [] if instrument is None else [str(instrument)]
+    replaced = [word for given in overrides for word in ("--set", given)]
     process = subprocess.Popen(
-        [*PROGRAM, "sim", "serve", *named, "--dir", str(folder), "--follow-stdin"],
+        [*PROGRAM, "sim", "serve", *named, *replaced, "--dir", str(folder), "--follow-stdin"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         start_new_session=True,  # Ctrl-C is for the run, which still has to drive the stage back
@@ -67,9 +70,9 @@ def _greeting(line: bytes) -> Bench:
         ) from None
 
 
-def simulated_rig(bench: Bench, spec: RigSpec | None, overrides: Sequence[str] = ()) -> RigSpec:
+def simulated_rig(bench: Bench, spec: RigSpec | None) -> RigSpec:
     """Return the instrument with its hardware replaced by the bench; a camera that replays files stays what it is."""
-    simulated = load_rig(bench.instrument, overrides)
+    simulated = load_rig(bench.instrument)
     if spec is None or spec.camera.driver != "folder":
         return simulated
     return simulated.model_copy(update={"camera": spec.camera})

@@ -137,8 +137,8 @@ def _instrument(stack: ExitStack, path: Path | None, overrides: Sequence[str], *
         return load_rig(path, overrides)
     spec = None if path is None else load_rig(path, overrides)
     scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="stereotome-bench-")))
-    bench = stack.enter_context(simulated_bench(path, scratch))
-    return simulated_rig(bench, spec, overrides)
+    bench = stack.enter_context(simulated_bench(path, scratch, overrides))
+    return simulated_rig(bench, spec)
 
 
 def _ready(recipe: Recipe, spec: RigSpec, out: Path | None) -> Path:

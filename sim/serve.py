@@ -34,6 +34,7 @@ def serve(
     instrument: Annotated[Path, Parameter(show_default=False)] = DEFAULT_INSTRUMENT,
     *,
     folder: Annotated[Path | None, Parameter(name="--dir")] = None,
+    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="", show_default=False)] = (),
     fault: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = (),
     tcp: Annotated[bool, Parameter(negative="", show_default=False)] = False,
     follow_stdin: Annotated[bool, Parameter(negative="", show_default=False)] = False,
@@ -49,6 +50,8 @@ def serve(
         The instrument file to stand in for; without it a 20x/0.45 bench of 512 x 512 pixels.
     folder
         Where to write instrument.toml and truth.npz; without it a new one, removed at the end.
+    set_
+        Replace a value of the instrument file: --set optics.na=0.3
     fault
         Something that goes wrong, such as z.silent, z.late@3, z.garble@10%, z.die@5, z.stall@12.5um, camera.drop@2.
     tcp
@@ -56,7 +59,7 @@ def serve(
     follow_stdin
         End also when standard input ends, so as never to outlive the program that started this one.
     """
-    spec = load_rig(instrument)
+    spec = load_rig(instrument, set_)
     faults = Faults(parse_faults((*spec.sim.faults, *fault)), SystemClock(), seed=spec.sim.seed)
     bench = build_bench(spec, SystemClock())
     with ExitStack() as cleanup:

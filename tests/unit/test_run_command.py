@@ -104,6 +104,14 @@ def test_the_bench_in_one_command(small, recipe, tmp_path):
     assert len(open_run(tmp_path / "run").planes) == 3
 
 
+def test_values_set_for_a_simulated_run_hold_for_the_bench(small, recipe, tmp_path):
+    few = ["--set", "stack.step=10", "--set", "camera.size_px=[40, 32]", "--set", "camera.bit_depth=8"]
+    result = stereotome("run", recipe, "-i", small, "--sim", "--out", tmp_path / "run", *few)
+    assert result.code == 0, result.err
+    pixels = open_run(tmp_path / "run").read(0)
+    assert (pixels.shape, pixels.dtype) == ((32, 40), np.uint8)
+
+
 def test_dry_run_lists_every_plane_and_moves_nothing(start_bench, small, recipe, tmp_path):
     bench = start_bench(small)
     result = stereotome("run", recipe, "-i", bench.instrument, "--dry-run", "--out", tmp_path / "run")
