@@ -96,7 +96,7 @@ def _lock(file: int) -> None:
 class CameraServer:
     """Serves one client at a time.
 
-    ``caps``, ``configure``, ``trigger`` are a camera's. ``arm`` lets the stage's pulses trigger a number of frames; they
+    ``caps``, ``configure``, ``trigger`` are a camera's. ``arm`` lets the pulses of the stage trigger some frames; they
     are sent when they are ready, and each is acknowledged by ``taken``; ``disarm`` ends that. When there is no slot for
     a frame, because so many are not acknowledged, it is lost, and its number missing. ``truth`` tells how far the axis
     went between two times, so that a test can prove that nothing moved during an exposure.
