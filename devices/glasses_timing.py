@@ -203,16 +203,18 @@ def _spread_ms(phase_s: NDArray[np.float64]) -> dict[str, float]:
 
 def period_of(times_s: NDArray[np.float64]) -> float:
     """Return the period of a train of times by least squares; gaps and doubles in the train do no harm."""
-    return float(_line(times_s)[0])
+    return _line(times_s)[0]
 
 
 def _residual_s(times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    fitted: NDArray[np.float64] = np.polyval(_line(times_s), _numbers(times_s))
-    return times_s - times_s[0] - fitted
+    slope, offset = _line(times_s)
+    residual: NDArray[np.float64] = times_s - times_s[0] - slope * _numbers(times_s) - offset
+    return residual
 
 
-def _line(times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.polyfit(_numbers(times_s), times_s - times_s[0], 1), dtype=np.float64)
+def _line(times_s: NDArray[np.float64]) -> tuple[float, float]:
+    slope, offset = np.polyfit(_numbers(times_s), times_s - times_s[0], 1)
+    return float(slope), float(offset)
 
 
 def _numbers(times_s: NDArray[np.float64]) -> NDArray[np.float64]:
