@@ -242,6 +242,7 @@ class Run:
         self._taken = 0
         self._missed: list[Missed] = []
         self._recorded = set(done)
+        self._triggered = policy.triggered and not self._recorded  # the rest of a run is taken plane by plane
         self._cancelled = threading.Event()
         self._stopped = threading.Event()
         self._paused = threading.Event()
@@ -281,7 +282,7 @@ class Run:
             self._enter(RunState.ARMING)
             self._arm()
             self._enter(RunState.RUNNING)
-            if self._policy.triggered and not self._recorded:
+            if self._triggered:
                 self._take_triggered()
             for plane in self._plan:
                 if plane.index not in self._recorded:
@@ -307,7 +308,7 @@ class Run:
         self._plan.check(self._stage.limits)
         self._camera.configure(exposure_ms=self._plan.exposure_ms)
         self._hand_controls(enabled=False)
-        if not self._policy.triggered:
+        if not self._triggered:
             self._camera.arm(None, self._gate)
 
     def _hand_controls(self, *, enabled: bool) -> None:

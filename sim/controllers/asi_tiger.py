@@ -23,8 +23,9 @@ TYPES = {"X": "x", "Y": "x", "Z": "z"}
 HAS_RING = 2
 PROPERTIES = {"X": 8 + HAS_RING, "Y": 8 + HAS_RING, "Z": HAS_RING}
 BUILDS = {COMM: "TIGER_COMM", "1": "STD_XY", Z_CARD: "STD_Z"}
-OF_A_CARD = frozenset(["RM", "TTL", "ZS"])
+OF_A_CARD = frozenset(["TTL", "ZS"])
 MOST_DECIMALS = 6
+EITHER_BIT = 0b101  # clients count the axes of the card, or of the whole controller when they address no card
 _ADDRESSED = re.compile(r"\s*(?:3(?=\d))?(\d)?\s*(.*)", re.DOTALL)
 
 
@@ -32,7 +33,7 @@ class Tiger(Ms2000):
     """The twin. Cards' settings beyond those of `Ms2000` are not made; see there for parameters."""
 
     def __init__(self, axes: dict[str, Axis]) -> None:
-        super().__init__(axes, Triggered(axes["Z"], slots=RING_SLOTS, mask=1, z_bit=1))
+        super().__init__(axes, Triggered(axes["Z"], slots=RING_SLOTS, mask=EITHER_BIT, z_bit=EITHER_BIT))
         self._decimals = 1
         self._card: str | None = None
         self._handlers.update({"V": lambda _: ":A v3.50", "VB": self._verbosity, "BU": self._build})
