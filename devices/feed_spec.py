@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from devices.errors import RigError
-from devices.profile import LinkTable, Profile, load_profile
+from devices.profile import Action, LinkTable, Profile, load_profile
 from devices.toml_model import Table
 
 Positive = Annotated[float, Field(gt=0)]
@@ -129,9 +129,17 @@ class FeedSpec(Table):
         )
 
     def knife_profile(self) -> Profile:
-        """Return the register map of the knife's controller."""
-        named = self.knife.profile if self.knife else None
-        return load_profile(named) if named else self.feed_profile()
+        """Return the register map of the knife's controller; its link has the knife's unit."""
+        table, own = self.knife or KnifeSpec(), self.feed_profile()
+        profile = load_profile(table.profile) if table.profile else own
+        unit = table.unit or (profile if table.profile else own).link.unit
+        return profile.model_copy(update={"link": own.link.model_copy(update={"unit": unit})})
+
+    def stops(self) -> list[tuple[Profile, Action]]:
+        """Return what stops the feed and, if there is one, the knife."""
+        feed, knife = self.feed_profile(), self.knife_profile()
+        own = [(feed, feed.do.stop)]
+        return own if knife.knife is None else [*own, (knife, knife.knife.stop)]
 
     def link_of(self, profile: Profile) -> LinkTable:
         """Return the link with what this installation replaces."""

@@ -150,6 +150,10 @@ class ModbusFeed:
         """Read the depth now, in nm."""
         return self._nm(self._drive.counts())
 
+    def allow_cuts(self, may_cut: Callable[[], None]) -> None:
+        """Let ``may_cut`` vouch for the microscope from now on: it raises `Unsafe` unless that is out of the way."""
+        self._may_cut = may_cut
+
     def arm(self) -> None:
         """Allow one cut within the next 10 s."""
         self._cycle.require(S.READY)
@@ -219,6 +223,7 @@ class ModbusFeed:
                         self._drive.registers.do(action)
             finally:
                 self._drive.registers.do(jog.release)
+        self._wait_for_rest()
         self.resolve()
 
     def reset_alarm(self) -> FeedState:
@@ -255,9 +260,7 @@ class ModbusFeed:
         profile, table = spec.knife_profile(), spec.knife or KnifeSpec()
         if profile.knife is None or (spec.knife is None and spec.kind == "polisher"):
             return None
-        unit = table.unit or profile.link.unit
-        at_unit = profile.model_copy(update={"link": profile.link.model_copy(update={"unit": unit})})
-        return Knife(Registers(self._bus, at_unit), profile.knife, table, self._clock, self._drive.halted)
+        return Knife(Registers(self._bus, profile), profile.knife, table, self._clock, self._drive.halted)
 
     def _move(self, state: FeedState, depth_nm: float) -> None:
         self._check_interlocks()
@@ -277,6 +280,11 @@ class ModbusFeed:
         if slack:
             self._expected = self._drive.go(run_up)
         self._expected = self._drive.go(target)
+
+    def _wait_for_rest(self) -> None:
+        patience_s = self._clock.now() + FeedDrive.GRACE_S
+        while self._drive.status().moving and self._clock.now() < patience_s:
+            self._clock.sleep(FeedDrive.POLL_S)
 
     def _withdraw(self, knife: Knife, depth: int) -> None:
         """Draw the feed back, bring the knife out, return to the same depth, and verify."""
@@ -425,8 +433,10 @@ class OpenFeed(ModbusFeed):
         super().close()
 
 
-def open_feed(table: FeedSpec, context: DeviceContext) -> ModbusFeed:
+def open_feed(table: FeedSpec, context: DeviceContext, *, look: bool = True) -> ModbusFeed:
     """Open the line, make sure which drive is there, and look where it stands; nothing moves.
+
+    Without ``look`` nothing is asked: for a stop, or for a drive in alarm.
 
     Raises
     ------
@@ -437,7 +447,8 @@ def open_feed(table: FeedSpec, context: DeviceContext) -> ModbusFeed:
     transcript = context.transcript / "feed.jsonl" if context.transcript else None
     feed = OpenFeed(open_bus(table.port, profile, context.clock, transcript), table, context.clock)
     try:
-        feed.identify()
+        if look:
+            feed.identify()
     except BaseException:
         feed.close()
         raise

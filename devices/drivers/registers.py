@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 SEQ_RANGE = 0x10000
-SEQ_LEAP = 0x101  # a stop may not wait for the mailbox to be read; this is no number it has acknowledged
 
 
 class Registers:
@@ -63,9 +62,13 @@ class Registers:
             log.warning("%s the read-back will tell", error.what)
 
     def do_urgently(self, action: Action) -> None:
-        """Carry out a stop, whatever conversation is going on."""
-        self._seq = (self._seq + SEQ_LEAP) % SEQ_RANGE
-        self.bus.write_urgently(self.unit, self.profile.writes(action, {"seq": self._seq}))
+        """Carry out a stop, whatever conversation is going on.
+
+        It may not wait for a mailbox to be read: of two numbers one is certainly not the one acknowledged last.
+        """
+        for _ in range(2 if self.profile.seq else 1):
+            self._seq = (self._seq + 2) % SEQ_RANGE
+            self.bus.write_urgently(self.unit, self.profile.writes(action, {"seq": self._seq}))
 
     def check_identity(self) -> None:
         """Compare registers that have known values; raises `Unsafe` for another drive or a swapped word order."""
