@@ -114,6 +114,8 @@ class AxisSpec(Table):
         Controller units in a µm; 10 for ASI, which counts tenths.
     invert : bool
         The controller counts downwards where this file counts upwards.
+    axis : str or None
+        The axis' name at a controller that has several (PI); None takes the only one.
     limits : LimitsSpec
         Soft limits, enforced in the driver before any byte is sent.
     park_um : float or None
@@ -129,6 +131,7 @@ class AxisSpec(Table):
     baud: Annotated[int, Field(ge=50, le=4_000_000)] = 9600
     units_per_um: Positive = 10.0
     invert: bool = False
+    axis: str | None = None
     limits: LimitsSpec
     park_um: float | None = None
     speed_um_s: Positive | None = None
