@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 from devices.errors import RigError
 from devices.profile import Action, LinkTable, Profile, load_profile
@@ -113,6 +113,15 @@ class FeedSpec(Table):
             raise ValueError(f"limits: thickness_nm_max is above the profile's max_step_um {axis.max_step_um:g} µm")
         return self
 
+    @model_validator(mode="after")
+    def _fits_into_registers(self) -> FeedSpec:
+        profile = self.feed_profile()
+        axis = profile.axis
+        for depth_um in (self.limits.feed_um_min, self.limits.feed_um_max):
+            supplied = {"pos": round(depth_um * axis.counts_per_um), "acc": axis.acc, "dec": axis.dec, "seq": 0}
+            profile.writes(profile.do.move_abs, supplied | {"speed": round(axis.speed_um_s * axis.speed_per_um_s)})
+        return self
+
     def feed_profile(self) -> Profile:
         """Return the register map with what this installation replaces."""
         profile = load_profile(self.profile)
@@ -147,6 +156,12 @@ class FeedSpec(Table):
         if self.link is not None:
             changes["kind"] = self.link
         return profile.link.model_copy(update=changes)
+
+
+class MicrotomeFile(BaseModel):
+    """An instrument file of which only ``[microtome]`` matters: the feed can be tried before the rest is there."""
+
+    microtome: FeedSpec | None = None
 
 
 def _replaced(spec: FeedSpec, names: tuple[str, ...]) -> dict[str, object]:

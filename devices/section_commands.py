@@ -217,13 +217,13 @@ def _open(instrument: Path, *, look: bool = True, homed: bool = False) -> Iterat
 
 
 def _spec(instrument: Path) -> FeedSpec:
-    from devices.feed_spec import FeedSpec  # noqa: PLC0415
-    from devices.rig import load_rig  # noqa: PLC0415
+    from devices.feed_spec import MicrotomeFile  # noqa: PLC0415
+    from devices.toml_model import load_model  # noqa: PLC0415
 
-    table = load_rig(instrument).microtome
+    table = load_model(instrument, MicrotomeFile, RigError).microtome
     if table is None:
         raise RigError(f"{instrument}: there is no [microtome] in it.", fix="add the table: see docs/microtome.md")
-    return FeedSpec.model_validate(table)
+    return table
 
 
 def _stop_past_lock(spec: FeedSpec) -> None:

@@ -15,7 +15,6 @@ WordOrder = Literal["big", "little"]
 Number = int | float
 
 FORMATS = {"u16": ">H", "i16": ">h", "u32": ">I", "i32": ">i", "f32": ">f"}
-WORD_BITS, WORD_MASK = 16, 0xFFFF
 _HALF = re.compile(r"(hi|lo)\((\w+)\)")
 
 
@@ -98,11 +97,17 @@ def is_half(term: int | str) -> bool:
 
 
 def evaluate(term: int | str, supplied: Mapping[str, int]) -> int:
-    """Return an integer as it is, a supplied name's value, or the high or low word of one."""
+    """Return an integer as it is, a supplied name's value, or the high or low word of one.
+
+    Raises
+    ------
+    ValueError
+        A value to be halved is no signed 32-bit number.
+    """
     if isinstance(term, int):
         return term
     half = _HALF.fullmatch(term)
     if half is None:
         return supplied[term]
-    pattern = supplied[half.group(2)] & 0xFFFF_FFFF
-    return pattern >> WORD_BITS if half.group(1) == "hi" else pattern & WORD_MASK
+    high, low = encode(supplied[half.group(2)], "i32", "big")
+    return high if half.group(1) == "hi" else low

@@ -36,7 +36,7 @@ def instrument_of() -> Iterator[object]:
             twin = build_feed_twin(spec_of(profile), clock)
             line = SerialLine(twin.feed_upset, BAUD, clock, misheard=b"")
             running.callback(line.close)
-            port = serial.Serial(line.port, BAUD, timeout=2.0)
+            port = serial.Serial(line.port, BAUD, timeout=0.4)
             running.callback(port.close)
             return minimalmodbus.Instrument(port, 1), twin
 
