@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from devices.drivers.asi_axis import AsiStage
@@ -79,6 +80,13 @@ class AsiTriggeredStage(AsiStage):
         self._link.ask(ttl.on_pulse(ttl.IN_OFF, self._card.address))
         self._link.ask(ttl.output(ttl.OUT_LOW, self._card.address))
 
+    def _prepare(self) -> None:
+        """Find out how long the ring is; disarm what a program that died may have left armed."""
+        with suppress(Refused):
+            self._slots = ring_slots(self._link.ask(asi.build(self._card.address)))
+            self.disarm()
+        super()._prepare()
+
     def _load_ring(self, positions_um: Sequence[float]) -> StageSequence:
         places_um = (*positions_um, positions_um[-1])
         self._check(places_um)
@@ -152,11 +160,3 @@ class AsiTriggeredStage(AsiStage):
 
 def _step_um(positions_um: Sequence[float]) -> float:
     return positions_um[1] - positions_um[0] if len(positions_um) > 1 else 1.0
-
-
-def slots_of(link: Link, card: Card) -> int:
-    """Return how many positions the controller's ring holds; 0 when it cannot tell."""
-    try:
-        return ring_slots(link.ask(asi.build(card.address)))
-    except Refused:
-        return 0

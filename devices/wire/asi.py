@@ -31,9 +31,9 @@ _REFUSALS = {
 }
 
 
-def command(words: str, *, repeatable: bool = True) -> Request[None]:
+def command(words: str, *, repeatable: bool = True, moves: bool = False) -> Request[None]:
     """Say something to which ``:A`` is the answer."""
-    return Request(_command(words), _accepted, repeatable)
+    return Request(_command(words), _accepted, repeatable, moves)
 
 
 def setting(words: str, letter: str = "Z") -> Request[float]:
@@ -43,12 +43,12 @@ def setting(words: str, letter: str = "Z") -> Request[float]:
 
 def move(target: float) -> Request[None]:
     """Start an absolute move; the reply comes at once, the axis moves on."""
-    return command(f"M Z={target:.3f}")
+    return command(f"M Z={target:.3f}", moves=True)
 
 
 def move_by(distance: float) -> Request[None]:
     """Start a relative move; never repeated, for it would go twice as far."""
-    return command(f"R Z={distance:.3f}", repeatable=False)
+    return command(f"R Z={distance:.3f}", repeatable=False, moves=True)
 
 
 def where() -> Request[float]:

@@ -42,7 +42,7 @@ def ring_count(card: str = "") -> Request[float]:
 
 def step_ring(card: str = "") -> Request[None]:
     """Go to the ring's next position, as on a pulse."""
-    return asi.command(f"{card}RM", repeatable=False)
+    return asi.command(f"{card}RM", repeatable=False, moves=True)
 
 
 def on_pulse(action: int, card: str = "") -> Request[None]:

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from devices.clock import SystemClock
-from devices.drivers import asi
+from devices.drivers import polled
 from devices.errors import DeviceBusy, DeviceError, LimitError, LinkLost
 from devices.registry import DeviceContext, factory
 from devices.rig import load_rig, open_rig
@@ -74,7 +74,7 @@ def test_what_is_taken_is_said_to_be(instrument: Path):
 
 
 def test_a_wrong_baud_rate_is_seen_in_what_comes_back(instrument: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(asi, "REPLY_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(polled, "REPLY_TIMEOUT_S", 0.1)
     spec = load_rig(instrument, ["stage.z.baud=9600"])
     with pytest.raises(DeviceError, match="no valid answer") as caught, open_rig(spec, clock=SystemClock()):
         pytest.fail("it opened")

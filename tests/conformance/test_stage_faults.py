@@ -10,7 +10,7 @@ import pytest
 from small_twin import OnPty, SmallAxis, SteppingClock
 
 from devices.clock import SystemClock
-from devices.drivers import asi as asi_driver
+from devices.drivers import polled
 from devices.drivers.asi import AsiStage, open_stage
 from devices.errors import DeviceBusy, DeviceError, LimitError, LinkLost, NoReply, StageStalled
 from devices.link import Link
@@ -90,7 +90,7 @@ def test_speed_is_read_back_for_it_is_clipped_without_a_word():
     stage, _, _ = on_loopback()
     assert stage.set_speed_um_s(400.0) == pytest.approx(400)
     assert stage.set_speed_um_s(9000.0) == pytest.approx(5000)
-    assert stage.firmware() == "Version: USB-9.54"
+    assert stage.identity() == "Version: USB-9.54"
 
 
 def test_zero_here():
@@ -130,7 +130,7 @@ def test_a_halt_from_another_thread_ends_a_settle():
     ],
 )
 def test_a_port_with_something_else_behind_it(monkeypatch: pytest.MonkeyPatch, spoil, code: str, words: str):
-    monkeypatch.setattr(asi_driver, "REPLY_TIMEOUT_S", 0.03)
+    monkeypatch.setattr(polled, "REPLY_TIMEOUT_S", 0.03)
     twin = SmallAxis(SystemClock().now)
     twin.spoil = spoil
     with closing(OnPty(twin.feed)) as far:
