@@ -18,6 +18,8 @@ from devices.transport.transcript import Recorder
 from devices.wire import open3d
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from devices.glasses_spec import GlassesSpec
     from devices.glasses_timing import Eye
     from devices.protocols import Clock, Transport
@@ -62,7 +64,7 @@ class Open3dGlasses:
         self._edges: deque[Edge] = deque(maxlen=KEPT_EDGES)
         self._sent = 0
         self._locks: deque[Lock] = deque(maxlen=KEPT_LOCKS)
-        self._locked = False
+        self._locked = self._closed = False
 
     @property
     def free_running(self) -> bool:
@@ -76,17 +78,17 @@ class Open3dGlasses:
 
     def show(self, eye: Eye) -> None:
         """Give one eye its turn now. The emitter does not answer: of a lost line, only the wearer knows."""
-        with self._turn:
+        with self._conversation():
             self._notice_restart()
             if self._known().drive_mode != open3d.DriveMode.PC_SERIAL:
                 self.both_open()
             self._edges.append(Edge(round(self._clock.now() * 1e9), eye))
             self._sent += 1
-            self._write(open3d.turn(eye))
+            self._transport.write(open3d.turn(eye))
 
     def both_open(self) -> None:
         """Give no more turns: glasses that hear nothing for a fifth of a second become clear."""
-        with self._turn:
+        with self._conversation():
             self._locked = False
             self._store(replace(self._known(), drive_mode=open3d.DriveMode.PC_SERIAL))
 
@@ -103,36 +105,41 @@ class Open3dGlasses:
             The emitter did not answer, or not as it should; the glasses are not locked.
         """
         check_refresh(refresh_hz)
-        with self._turn:
+        with self._conversation():
             self._notice_restart()
             if not self._holds(refresh_hz, left_flip_s):
                 self._lock(refresh_hz, left_flip_s)
 
     def close(self) -> None:
         """End the turns and release the port; the glasses become clear."""
+        if self._closed:
+            return
         with contextlib.suppress(DeviceError):
             self.both_open()
+        self._closed = True
         self._link.close()
 
     def settings(self) -> Settings:
         """Return the emitter's settings, read now."""
-        with self._turn:
+        with self._conversation():
             self._settings = self._link.ask(open3d.query())
             return self._settings
 
     def swap_eyes(self) -> Settings:
         """Exchange the eyes until power-off, and return the settings read back."""
-        with self._turn:
+        with self._conversation():
             settings = self.settings()
             return self._store(replace(settings, flip_eyes=1 - settings.flip_eyes))
 
     def set_view(self, glasses: Glasses) -> None:
         """Let the glasses show stereo, or one eye's picture to both."""
-        self._link.ask(open3d.view(glasses))
+        with self._conversation():
+            self._link.ask(open3d.view(glasses))
 
     def save(self) -> None:
         """Write the settings into the EEPROM."""
-        self._link.ask(open3d.save())
+        with self._conversation():
+            self._link.ask(open3d.save())
 
     def prepare(self) -> None:
         """Read the settings, set what the instrument file wants, and time some exchanges.
@@ -144,15 +151,25 @@ class Open3dGlasses:
         DeviceError
             glasses-settings: the emitter did not take a setting.
         """
-        with self._turn:
+        with self._conversation():
             settings = self._with_spec(self.settings())
             took_s = sorted(self._timed_store(settings) for _ in range(EXCHANGES_TIMED))
             self._quickest_s, self._usual_s = took_s[0], median(took_s)
 
     def round_trip_s(self) -> float:
         """Send the settings once more, unchanged, and return how long the answer took."""
-        with self._turn:
+        with self._conversation():
             return self._timed_store(self._known())
+
+    @contextlib.contextmanager
+    def _conversation(self) -> Iterator[None]:
+        """One at a time; when the emitter is gone, nothing is known of it any more."""
+        with self._turn:
+            try:
+                yield
+            except LinkLost:
+                self._settings, self._locked = None, False
+                raise
 
     @property
     def _latency_s(self) -> float:
@@ -246,13 +263,6 @@ class Open3dGlasses:
         unasked = self._transport.read(0)
         if any(word.encode() in unasked for word in open3d.BANNER):
             self._settings, self._locked = None, False
-
-    def _write(self, line: bytes) -> None:
-        try:
-            self._transport.write(line)
-        except LinkLost:
-            self._settings, self._locked = None, False
-            raise
 
 
 def check_refresh(refresh_hz: float) -> None:

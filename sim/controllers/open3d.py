@@ -49,6 +49,7 @@ class Emitter:
         self._saved = list(FACTORY)
         self._fields = list(FACTORY)
         self._input = ""
+        self._unread = b""
         self._edges: deque[Edge] = deque(maxlen=KEPT_EDGES)
         self._next_s: float | None = None
         self._next_eye: Eye = "left"
@@ -67,7 +68,8 @@ class Emitter:
         """Take bytes as they come and return the replies to the lines that became complete."""
         with self._one_at_a_time:
             *lines, self._input = (self._input + data.decode("latin-1")).split("\n")
-            replies = [self._reply(line) for line in lines]
+            replies = [self._unread, *(self._reply(line) for line in lines)]
+            self._unread = b""
         return [reply for reply in replies if reply]
 
     def edges(self) -> list[Edge]:
@@ -76,13 +78,13 @@ class Emitter:
             self._catch_up()
             return list(self._edges)
 
-    def power_cycle(self) -> bytes:
-        """Take the power away and give it back; return what the emitter says."""
+    def power_cycle(self) -> None:
+        """Take the power away and give it back. What the emitter says then is read with its next reply."""
         with self._one_at_a_time:
             self._catch_up()
             self._fields, self._input, self.view = list(self._saved), "", 0
+            self._unread = BANNER
             self._restart()
-        return BANNER
 
     def set_drift(self, drift_ppm: float) -> None:
         """Let its clock run differently from now on."""
@@ -94,6 +96,11 @@ class Emitter:
     def open_s(self) -> float:
         """How long a shutter stays open."""
         return self._field(DURATION) * self._us
+
+    @property
+    def flipped(self) -> bool:
+        """Whether the eyes are exchanged."""
+        return bool(self._field(FLIP))
 
     @property
     def _us(self) -> float:
@@ -164,9 +171,9 @@ class Emitter:
             self._next_s += self._field(FRAMETIME) * self._us
 
     def _open(self, eye: Eye, turn_s: float) -> None:
-        flipped: dict[Eye, Eye] = {"left": "right", "right": "left"}
+        other: dict[Eye, Eye] = {"left": "right", "right": "left"}
         opens_s = turn_s + self._field(DELAY) * self._us
-        self._edges.append(Edge(round(opens_s * 1e9), flipped[eye] if self._field(FLIP) else eye))
+        self._edges.append(Edge(round(opens_s * 1e9), other[eye] if self.flipped else eye))
 
 
 def _to_int(word: str) -> int:

@@ -36,7 +36,7 @@ def opened(emitter_keys=None, wire_keys=None, **keys):
 
 
 def emitter_now(twin):
-    return open3d.query().decode(twin.feed(b"0\n")[0].removesuffix(open3d.TERMINATOR))
+    return open3d.query().decode(twin.feed(b"0\n")[-1].removesuffix(open3d.TERMINATOR))
 
 
 def test_settings_have_names():
@@ -170,9 +170,12 @@ def test_both_open_and_close_end_all_turns():
 
 
 def test_an_emitter_that_lost_its_power_gets_its_settings_again():
-    glasses, twin, _ = opened(delay_us=900)
+    glasses, twin, clock = opened(delay_us=900)
     glasses.show("left")
-    glasses._transport._pending += twin.power_cycle()
+    twin.power_cycle()
+    glasses.show("right")
+    assert len(twin.edges()) == 1, "it forgot that the host gives the turns"
+    clock.sleep(0.01)
     glasses.show("right")
     assert emitter_now(twin).frame_delay_us == 900
     assert twin.edges()[-1].eye == "right"

@@ -97,8 +97,10 @@ def test_flipped_eyes():
 def test_power_off_forgets_what_was_not_saved():
     twin, _ = emitter()
     twin.feed(b"0,1,700\n8\n0,3\n")
-    assert twin.power_cycle() == BANNER
-    assert twin.feed(b"0\n")[0].startswith(b"parameters 22,1,700,7000,")
+    twin.power_cycle()
+    banner, settings = twin.feed(b"0\n")
+    assert banner == BANNER
+    assert settings.startswith(b"parameters 22,1,700,7000,")
 
 
 @given(st.binary(max_size=200))
