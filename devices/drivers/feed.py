@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from threading import Event, Thread
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,7 @@ from devices.drivers.feed_cycle import FeedCycle
 from devices.drivers.feed_drive import ARRIVED_COUNTS, FeedDrive
 from devices.drivers.knife import Knife
 from devices.drivers.registers import Registers
-from devices.errors import DeviceError, LimitError, LinkError, Unsafe
+from devices.errors import DeviceError, LimitError, LinkLost, Unsafe
 from devices.feed_errors import FeedAstray, FeedNotExecuted, FeedUndecided, KnifeFailed
 from devices.feed_spec import KnifeSpec
 from devices.feed_values import FeedState, KnifeState
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from devices.protocols import Clock
     from devices.registry import DeviceContext
     from devices.transport.modbus import RegisterBus
+
+log = logging.getLogger(__name__)
 
 S = FeedState
 NM_PER_UM = 1000
@@ -248,9 +251,9 @@ class ModbusFeed:
 
     def halt(self) -> None:
         """Stop feed and knife; from any thread, whatever another is waiting for."""
-        self._drive.stop()
-        if self._knife is not None:
-            self._knife.stop()
+        self._drive.halted.set()
+        knife = self._knife.stop_writes() if self._knife else []
+        self._bus.write_urgently([*self._drive.stop_writes(), *knife])
 
     def close(self) -> None:
         """Release the line; feed and knife stay where they are."""
@@ -417,8 +420,10 @@ class Heartbeat:
         while not self._over.wait(self._period_s):
             try:
                 self._feed.keep_alive()
-            except (LinkError, DeviceError):
+            except LinkLost:
                 return
+            except DeviceError as error:
+                log.warning("heartbeat: %s", error.what)
 
 
 class OpenFeed(ModbusFeed):

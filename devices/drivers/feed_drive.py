@@ -12,6 +12,7 @@ from devices.feed_errors import FeedAlarm, FeedAstray, FeedEstop, FeedHalted, Fe
 if TYPE_CHECKING:
     from devices.drivers.registers import Registers
     from devices.protocols import Clock
+    from devices.transport.modbus import Addressed
 
 ARRIVED_COUNTS = 1
 ASTRAY_UM = 0.5
@@ -147,7 +148,11 @@ class FeedDrive:
     def stop(self) -> None:
         """Stop at once; from any thread."""
         self.halted.set()
-        self.registers.do_urgently(self.profile.do.stop)
+        self.registers.bus.write_urgently(self.stop_writes())
+
+    def stop_writes(self) -> list[Addressed]:
+        """Return what stops it."""
+        return self.registers.urgently(self.profile.do.stop)
 
     def check_alarm(self) -> DriveStatus:
         """Return the status; raises `FeedAlarm` with the manual's word for it, or `FeedEstop`."""

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from devices.feed_spec import KnifeSpec
     from devices.profile import KnifeTable
     from devices.protocols import Clock
+    from devices.transport.modbus import Addressed
 
 NM_PER_UM = 1000
 
@@ -133,9 +134,9 @@ class Knife:
                 )
             self._clock.sleep(self.POLL_S)
 
-    def stop(self) -> None:
-        """Stop the knife at once."""
-        self._registers.do_urgently(self._table.stop)
+    def stop_writes(self) -> list[Addressed]:
+        """Return what stops it."""
+        return self._registers.urgently(self._table.stop)
 
     def _begin(self) -> DeviceError | None:
         try:

@@ -9,10 +9,11 @@ from devices.errors import LinkError, LinkLost, Unsafe
 
 if TYPE_CHECKING:
     from devices.profile import Action, Bit, Profile
-    from devices.transport.modbus import RegisterBus
+    from devices.transport.modbus import Addressed, RegisterBus
 
 log = logging.getLogger(__name__)
 
+SEQ = "seq"
 SEQ_RANGE = 0x10000
 
 
@@ -49,7 +50,8 @@ class Registers:
 
     def do(self, action: Action, **supplied: int) -> None:
         """Carry out an action: each of its writes once."""
-        for request in self.profile.writes(action, supplied | self._next_seq()):
+        numbered = any(SEQ in step.terms for step in action)
+        for request in self.profile.writes(action, supplied | (self._next_seq() if numbered else {})):
             self.bus.write(self.unit, request)
 
     def put(self, name: str, value: int) -> None:
@@ -61,14 +63,16 @@ class Registers:
         except LinkError as error:
             log.warning("%s the read-back will tell", error.what)
 
-    def do_urgently(self, action: Action) -> None:
-        """Carry out a stop, whatever conversation is going on.
+    def urgently(self, action: Action) -> list[Addressed]:
+        """Return the writes of a stop that waits for nothing, not even for a mailbox to be read.
 
-        It may not wait for a mailbox to be read: of two numbers one is certainly not the one acknowledged last.
+        Of two numbers in a row one is certainly not the one the mailbox acknowledged last.
         """
+        writes: list[Addressed] = []
         for _ in range(2 if self.profile.seq else 1):
             self._seq = (self._seq + 2) % SEQ_RANGE
-            self.bus.write_urgently(self.unit, self.profile.writes(action, {"seq": self._seq}))
+            writes += [(self.unit, write) for write in self.profile.writes(action, {"seq": self._seq})]
+        return writes
 
     def check_identity(self) -> None:
         """Compare registers that have known values; raises `Unsafe` for another drive or a swapped word order."""

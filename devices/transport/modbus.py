@@ -29,7 +29,7 @@ from devices.transport.ports import open_failure
 from devices.wire.modbus_map import RegisterRead, RegisterWrite
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from devices.profile import LinkTable, Profile
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 log = logging.getLogger(__name__)
+
+Addressed = tuple[int, RegisterWrite]
 
 READ_ATTEMPTS = 3
 NOISY_ROUNDS = 4
@@ -66,7 +68,7 @@ class RegisterBus(Protocol):
         """Write once. An error of the wire leaves open whether the unit acted."""
         ...
 
-    def write_urgently(self, unit: int, requests: tuple[RegisterWrite, ...]) -> None:
+    def write_urgently(self, requests: Sequence[Addressed]) -> None:
         """Write without waiting for a conversation going on; only for what may be done twice, such as a stop."""
         ...
 
@@ -112,7 +114,6 @@ class ModbusBus:
         self._gap_s = gap_s
         self._conversation = Lock()
         self._must_drain = False
-        self._interrupted = 0
         self._spoke_s = clock.now() - gap_s
         self._client = connect()
 
@@ -142,18 +143,20 @@ class ModbusBus:
         with self._conversation:
             self._write_once(unit, request)
 
-    def write_urgently(self, unit: int, requests: tuple[RegisterWrite, ...]) -> None:
-        """Write within 40 ms, even into a conversation going on, which then finds no answer; then once more in turn."""
-        self._interrupted += 1
+    def write_urgently(self, requests: Sequence[Addressed]) -> None:
+        """Write within 40 ms, even into a conversation going on, which then finds no answer; then once more in turn.
+
+        All are sent, whatever becomes of the first; the last failure is raised in the end.
+        """
         if not self._conversation.acquire(timeout=URGENT_WAIT_S):
-            self._shout(unit, requests)
+            self._shout(requests)
             self._conversation.acquire()
         try:
-            self._must_drain = False  # the reply to a stop matters less than the stop
-            for request in requests:
-                self._write_once(unit, request)
+            failures = [failure for unit, request in requests if (failure := self._write_anyway(unit, request))]
         finally:
             self._conversation.release()
+        if failures:
+            raise failures[-1]
 
     def reopen(self) -> None:
         """Hang up and connect anew; raises as the first connection does."""
@@ -217,9 +220,19 @@ class ModbusBus:
             if rounds == NOISY_ROUNDS:
                 return
 
-    def _shout(self, unit: int, requests: tuple[RegisterWrite, ...]) -> None:
+    def _write_anyway(self, unit: int, request: RegisterWrite) -> DeviceError | None:
+        self._must_drain = False  # the reply to a stop matters less than the stop
         try:
-            for request in requests:
+            self._write_once(unit, request)
+        except LinkLost:
+            raise
+        except (LinkError, Refused) as error:
+            return error
+        return None
+
+    def _shout(self, requests: Sequence[Addressed]) -> None:
+        try:
+            for unit, request in requests:
                 self._client.send(self._client.framer.buildFrame(write_pdu(unit, request)))
         except (ConnectionException, OSError) as cause:
             raise self._lost(str(cause)) from cause

@@ -380,6 +380,20 @@ def test_the_emergency_stop():
 
 
 @every_profile
+def test_halt_on_a_line_that_loses_the_first_reply_still_stops_the_knife(profile: str):
+    bench = on_twin(profile).ready()
+    knife = bench.twin.plc.knife
+    knife.window_um, knife.speed_um_s = (300.0, 0.0), 30.0
+    knife.cut()
+    bench.clock.sleep(1.0)
+    bench.twin.upsets.append(Upset("drop", "write"))
+    assert fails(bench.feed.halt).code == "device-silent"
+    assert bench.feed.knife_state() is KnifeState.IN_WINDOW
+    bench.clock.sleep(60.0)
+    assert knife.cuts_executed == 0
+
+
+@every_profile
 def test_a_silent_line_is_no_position(profile: str):
     bench = on_twin(profile).ready()
     bench.twin.upsets.append(Upset("deaf", "any", times=1000))
