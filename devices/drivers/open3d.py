@@ -116,8 +116,7 @@ class Open3dGlasses:
             return
         with contextlib.suppress(DeviceError):
             self.both_open()
-        self._closed = True
-        self._link.close()
+        self.leave()
 
     def settings(self) -> Settings:
         """Return the emitter's settings, read now."""
@@ -129,12 +128,23 @@ class Open3dGlasses:
         """Exchange the eyes until power-off, and return the settings read back."""
         with self._conversation():
             settings = self.settings()
-            return self._store(replace(settings, flip_eyes=1 - settings.flip_eyes))
+            return self.store(replace(settings, flip_eyes=1 - settings.flip_eyes))
 
     def set_view(self, glasses: Glasses) -> None:
         """Let the glasses show stereo, or one eye's picture to both."""
         with self._conversation():
             self._link.ask(open3d.view(glasses))
+
+    def store(self, settings: Settings) -> Settings:
+        """Set all settings until power-off; raises `DeviceError` (glasses-settings) unless every one was taken."""
+        with self._conversation():
+            self._locked = False
+            return self._store(settings)
+
+    def leave(self) -> None:
+        """Release the port and let the emitter go on as it is."""
+        self._closed = True
+        self._link.close()
 
     def save(self) -> None:
         """Write the settings into the EEPROM."""

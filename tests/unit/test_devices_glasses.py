@@ -96,7 +96,7 @@ def test_nothing_is_ever_said_at_1200_baud():
 def test_a_setting_that_is_not_taken():
     glasses, _, _ = opened()
     with pytest.raises(DeviceError, match="signal_spacing_us 300 became 44") as caught:
-        glasses._store(replace(FACTORY, signal_spacing_us=300))
+        glasses.store(replace(FACTORY, signal_spacing_us=300))
     assert caught.value.code == "glasses-settings"
     assert glasses.settings().signal_spacing_us == 44
 
