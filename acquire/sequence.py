@@ -196,12 +196,18 @@ class TriggeredStack:
             gate.first_hw_id = self._triggered.arm_external(sequence.frames, gate)
             self._sequenced.start_sequence()
             self._watch(gate, sequence)
-            gate.closed = True
         finally:
             gate.closed = True
-            self._camera.stop(CAMERA_STOP_S)
-            rest_um = self._sequenced.end_sequence(timeout_s)
+            rest_um = self._end(timeout_s)
         return self._judge(gate, sequence, rest_um)
+
+    def _end(self, timeout_s: float) -> float:
+        """Take both devices out of the sequence, the stage even if the camera fails; return where the stage rests."""
+        try:
+            self._camera.stop(CAMERA_STOP_S)
+        finally:
+            rest_um = self._sequenced.end_sequence(timeout_s)
+        return rest_um
 
     def _watch(self, gate: SequenceGate, sequence: StageSequence) -> None:
         """Read the stage until all frames are there or none comes any more."""

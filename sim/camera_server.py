@@ -208,7 +208,7 @@ class CameraServer:
         """Expose on the stage's pulses; frames carry the ``id`` of this question."""
         self._end_burst()
         if self._lines is None:
-            raise ValueError("the stage has no trigger lines")
+            return {"ok": False, "error": "the stage of this bench has no trigger lines"}
 
         def deliver(frame: Answer | None) -> None:
             if frame is not None:

@@ -12,7 +12,7 @@ import pytest
 
 from acquire.engine import Policy, Run, RunState
 from acquire.plan import StackPlan
-from acquire.sequence import PATIENCE
+from acquire.sequence import PATIENCE, check_triggered
 from devices.clock import SystemClock
 from devices.drivers import asi, asi_tiger, sim_camera
 from devices.errors import LimitError, PlanError
@@ -20,13 +20,14 @@ from devices.protocols import SequencedStage, TriggeredCamera
 from devices.registry import DeviceContext
 from devices.rig import AxisSpec, CameraSpec
 from devices.values import CameraCaps, Limits
-from sim.camera import Replay
+from sim.camera import Replay, SimCamera
 from sim.camera_server import CameraServer
 from sim.controllers.asi import Ms2000
 from sim.controllers.asi_tiger import Tiger
 from sim.faults import Faults, FaultyTwin, parse_faults
 from sim.motion import Axis
 from sim.serial_line import SerialLine
+from sim.stage import SimStage
 from sim.triggered_camera import TriggerLines
 
 if TYPE_CHECKING:
@@ -80,7 +81,8 @@ class Cables:
 class Setup:
     """A bench in this process, on a pseudo-terminal and a TCP port, with the real drivers at their other ends."""
 
-    def __init__(self, stage, camera, axis, cables, twin) -> None:
+    def __init__(self, stage, camera, axis, cables, twin, server) -> None:
+        self.server = server
         self.stage, self.camera, self.axis, self.cables, self.twin = stage, camera, axis, cables, twin
         self.out, self.told = Kept(), []
         self.on_plane: Callable[[int], None] = lambda plane: None
@@ -136,7 +138,7 @@ def bench(*faults: str, driver: str = "asi-ms2000", baud: int = 115200, settle_m
             stage = open_stage(AxisSpec.model_validate(table), DeviceContext(clock))
             camera = sim_camera.open_camera(CameraSpec(driver="sim", address=server.address), DeviceContext(clock))
             with closing(stage), closing(camera):
-                yield Setup(stage, camera, axis, wires, twin)
+                yield Setup(stage, camera, axis, wires, twin, server)
     finally:
         line.unplug()
 
@@ -275,6 +277,27 @@ def test_what_cannot_be_done_is_refused_before_anything_moves():
         against = plan(5, step_nm=-500, overshoot_nm=1000)
         assert setup.run(against) is RunState.FAILED
         assert "against the side" in str(setup.engine.error)
+
+
+def test_devices_that_cannot_are_named_before_anything_is_armed():
+    with bench() as setup:
+        plain = SimStage(setup.axis)
+        for stage, camera in (
+            (plain, setup.camera),
+            (setup.stage, SimCamera(Replay(np.zeros((1, *SHAPE)), CAPS), setup.axis)),
+        ):
+            with pytest.raises(PlanError) as caught:
+                check_triggered(plan(5), stage, camera)
+            assert caught.value.code == "no-trigger"
+
+
+def test_a_bench_without_cables_says_so():
+    with bench() as setup:
+        setup.server._lines = None
+        assert setup.run(plan(5)) is RunState.FAILED
+        assert "no trigger lines" in str(setup.engine.error)
+        setup.twin.ttl_in()
+        assert setup.stage.settle(5.0) == 0.0
 
 
 def test_the_twin_has_the_lines():
