@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 Eye = Literal["left", "right"]
 FEWEST = 8
+FOLLOWED = 0.1  # share of a turn's lateness by which the next one is expected later
 PPM = 1e6
 
 
@@ -218,10 +219,16 @@ def _line(times_s: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def _numbers(times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Count the turns: an interval of about n median intervals is n turns."""
-    steps = np.diff(times_s)
-    turns: NDArray[np.float64] = np.concatenate([[0.0], np.cumsum(np.round(steps / np.median(steps)))])
-    return turns
+    """Count the turns against where each is expected, so that one late turn does not count as two, nor none as one."""
+    period_s = float(np.median(np.diff(times_s)))
+    numbers, number, expected_s = [], 0, float(times_s[0])
+    for at_s in times_s.tolist():
+        turns = round((at_s - expected_s) / period_s)
+        number += turns
+        expected_s += turns * period_s
+        expected_s += FOLLOWED * (at_s - expected_s)
+        numbers.append(number)
+    return np.array(numbers, dtype=np.float64)
 
 
 def _crosstalk(told: _Train, shown: _Train, period_s: float, open_s: float | None) -> float:

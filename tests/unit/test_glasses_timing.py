@@ -75,6 +75,14 @@ def test_percentiles_are_of_the_size():
     assert report.max_ms == pytest.approx(2.0)
 
 
+def test_a_late_turn_is_counted_once():
+    late = train(200, at_ms=lambda n: n * PERIOD_MS + (3.99 if n % 40 == 9 else 0.0))
+    report = phase_report(late, FLIPS)
+    assert abs(report.drift_ppm) < 20
+    assert (report.missed, report.duplicated) == (0, 0)
+    assert report.max_ms == pytest.approx(3.99)
+
+
 @pytest.mark.parametrize(("edges", "flips"), [([], FLIPS), (FLIPS, FLIPS[:7]), (train(20, start_ms=9e6), FLIPS)])
 def test_too_few_to_say_anything(edges, flips):
     with pytest.raises(InputError, match="too few"):
