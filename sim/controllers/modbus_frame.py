@@ -126,7 +126,7 @@ class RtuServer:
     def reply(self, unit: int, pdu: bytes) -> bytes:
         """Return the framed reply to a request, nothing where a device keeps silent."""
         if unit == BROADCAST:
-            for device in self.units.values():
+            for device in self.units.values() if pdu else ():
                 answer(device, pdu)
             return b""
         if unit not in self.units:

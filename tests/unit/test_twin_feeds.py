@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from feeds import PROFILES
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from pymodbus.framer import FramerRTU
 
@@ -29,6 +29,7 @@ def test_two_checksums_of_two_makers_agree(data: bytes):
 
 
 @given(st.lists(st.binary(max_size=40), max_size=12), st.sampled_from(PROFILES), st.booleans())
+@example([b"\x00\x00\x00\x00"], "leadshine-rs", False)
 def test_any_bytes_are_survived(chunks: list[bytes], profile: str, tcp: bool):
     twin = FeedTwin(profile, SimClock(), tcp=tcp)
     for chunk in chunks:
