@@ -78,7 +78,7 @@ def test_percentiles_are_of_the_size():
 def test_a_late_turn_is_counted_once():
     late = train(200, at_ms=lambda n: n * PERIOD_MS + (3.99 if n % 40 == 9 else 0.0))
     report = phase_report(late, FLIPS)
-    assert abs(report.drift_ppm) < 20
+    assert abs(report.drift_ppm) < 100, "a turn too many or too few would be 5000"
     assert (report.missed, report.duplicated) == (0, 0)
     assert report.max_ms == pytest.approx(3.99)
 
