@@ -11,6 +11,10 @@ from small_twin import OnPty, OnTcp, SmallAxis, SteppingClock
 
 from devices.clock import SystemClock
 from devices.drivers.asi import AsiStage, open_stage
+from devices.drivers.pi_gcs import PiStage
+from devices.drivers.pi_gcs import open_stage as open_pi
+from devices.drivers.prior import PriorStage
+from devices.drivers.prior import open_stage as open_prior
 from devices.errors import LimitError, StageStalled, StageTimeout
 from devices.link import Link
 from devices.protocols import Clock, Stage
@@ -19,9 +23,11 @@ from devices.rig import AxisSpec
 from devices.transport.loopback import Loopback
 from devices.transport.transcript import Replay
 from devices.values import Limits
-from devices.wire import asi
+from devices.wire import asi, pi_gcs, prior
 from sim.clock import SimClock
 from sim.controllers.asi import Ms2000
+from sim.controllers.pi_gcs import PiE709
+from sim.controllers.prior import ProScan
 from sim.motion import Axis
 from sim.stage import SimStage
 
@@ -54,6 +60,59 @@ def over_a_pty_to_the_bench_s_twin():
         yield open_stage(axis(far.port), DeviceContext(clock)), clock
 
 
+def over_loopback_to_a_piezo_of_pi():
+    clock = SimClock()
+    yield pi_driver(PiE709(Axis(clock, Limits(**LIMITS))), clock, 1.0), clock
+
+
+def over_loopback_to_a_motor_of_pi_that_counts_mm():
+    clock = SimClock()
+    twin = PiE709.c863(Axis(clock, Limits(**LIMITS)))
+    twin.feed(b"SVO 1 1\nFRF 1\n")
+    yield pi_driver(twin, clock, 0.001), clock
+
+
+def over_a_pty_to_a_piezo_of_pi():
+    clock = SystemClock()
+    with closing(OnPty(PiE709(Axis(clock, Limits(**LIMITS))).feed)) as far:
+        yield open_pi(axis(far.port, driver="pi-gcs2", units_per_um=1.0), DeviceContext(clock)), clock
+
+
+def over_loopback_to_a_proscan_that_says_r_at_once():
+    clock = SimClock()
+    yield prior_driver(ProScan(Axis(clock, Limits(**LIMITS))), clock), clock
+
+
+def over_loopback_to_a_proscan_that_says_r_at_the_end():
+    clock = SimClock()
+    yield prior_driver(ProScan(Axis(clock, Limits(**LIMITS)), says_r="finished"), clock), clock
+
+
+def over_loopback_to_a_proscan_that_counts_downwards():
+    clock = SimClock()
+    yield prior_driver(ProScan(Axis(clock, Limits(**LIMITS)), step_um=-0.1), clock), clock
+
+
+def over_a_pty_to_a_proscan():
+    clock = SystemClock()
+    with closing(OnPty(ProScan(Axis(clock, Limits(**LIMITS))).feed)) as far:
+        yield open_prior(axis(far.port, driver="prior-proscan"), DeviceContext(clock)), clock
+
+
+def pi_driver(twin: PiE709, clock: Clock, units_per_um: float) -> PiStage:
+    link = Link(Loopback(twin.feed, clock), clock, terminator=pi_gcs.TERMINATOR)
+    stage = PiStage(link, axis("loopback", driver="pi-gcs2", units_per_um=units_per_um), clock)
+    stage.greet()
+    return stage
+
+
+def prior_driver(twin: ProScan, clock: Clock) -> PriorStage:
+    link = Link(Loopback(twin.feed, clock), clock, terminator=prior.TERMINATOR)
+    stage = PriorStage(link, axis("loopback", driver="prior-proscan"), clock)
+    stage.greet()
+    return stage
+
+
 def driver(twin: SmallAxis | Ms2000, clock: Clock) -> AsiStage:
     return AsiStage(Link(Loopback(twin.feed, clock), clock, terminator=asi.TERMINATOR), axis("loopback"), clock)
 
@@ -63,6 +122,13 @@ MAKERS = [
     over_loopback_to_the_small_twin,
     over_loopback_to_the_bench_s_twin,
     over_a_pty_to_the_bench_s_twin,
+    over_loopback_to_a_piezo_of_pi,
+    over_loopback_to_a_motor_of_pi_that_counts_mm,
+    over_a_pty_to_a_piezo_of_pi,
+    over_loopback_to_a_proscan_that_says_r_at_once,
+    over_loopback_to_a_proscan_that_says_r_at_the_end,
+    over_loopback_to_a_proscan_that_counts_downwards,
+    over_a_pty_to_a_proscan,
 ]
 
 

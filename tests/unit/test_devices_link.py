@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.errors import MalformedReply, NoReply, Refused
+from devices.errors import DeviceError, MalformedReply, NoReply, Refused
 from devices.link import Link
 from devices.transport.loopback import Loopback
 from devices.transport.transcript import Recorder, Replay
 from devices.wire import asi
-from devices.wire.exchange import Request
+from devices.wire.exchange import Request, no_reply
 
 
 class SteppingClock:
@@ -237,3 +237,37 @@ def test_a_position_is_read_as_it_was_written(position: float, form: str, end: s
 def test_the_documented_exchanges(request_: Request, payload: bytes, reply: bytes, meaning: object):
     assert request_.payload == payload
     assert request_.decode(reply) == meaning
+
+
+def test_a_command_without_reply_and_a_timeout_of_its_own():
+    link, peer = link_to((9.0, b""), (0.8, b":A 5 \r\n"))
+    assert link.ask(Request(b"S\r", bytes, framing=no_reply)) == b""
+    assert link.ask(Request(b"Q\r", asi.where().decode, repeatable=False, timeout_s=1.0)) == 5
+    assert peer.sent == [b"S\r", b"Q\r"]
+
+
+def test_a_move_is_not_sent_again_after_a_halt():
+    stuck = Stuck()
+    link = Link(Loopback(stuck.feed, stuck), stuck, terminator=asi.TERMINATOR)
+    sent: list[bytes] = []
+    codes: list[str] = []
+
+    def feed(data: bytes) -> list[bytes]:
+        sent.append(data)
+        return stuck.feed(data)
+
+    link._transport = Loopback(feed, stuck)
+
+    def ask() -> None:
+        try:
+            link.ask(Request(b"M Z=5\r", asi.move(5).decode, moves=True))
+        except DeviceError as error:
+            codes.append(error.code)
+
+    asking = threading.Thread(target=ask)
+    asking.start()
+    assert stuck.asked.wait(10)
+    link.interrupt(asi.halt())
+    asking.join(10)
+    assert codes == ["device-halted"]
+    assert sent.count(b"M Z=5\r") == 1
