@@ -1,7 +1,7 @@
 """Drivers by name. A driver is an entry point of the group ``stereotome.devices``.
 
-The entry point names a function ``open_stage(table, context)`` or ``open_camera(table, context)``; which of the two it
-is called tells what it drives, so that nothing needs importing to list what is installed.
+The entry point names a function ``open_stage(table, context)``, or ``open_camera``, ``open_feed``, ``open_glasses``;
+which of them it is called tells what it drives, so that nothing needs importing to list what is installed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from devices.protocols import Clock
 
 GROUP = "stereotome.devices"
-Kind = Literal["stage", "camera"]
+Kind = Literal["stage", "camera", "feed", "glasses"]
+KINDS: tuple[Kind, ...] = ("stage", "camera", "feed", "glasses")
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class DeviceContext:
 
 
 def drivers(kind: Kind) -> dict[str, EntryPoint]:
-    """Return the installed drivers of stages or cameras by name."""
+    """Return the installed drivers of a kind of device by name."""
     return {point.name: point for point in entry_points(group=GROUP) if point.attr == f"open_{kind}"}
 
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from devices.errors import RigError
+from devices.feed_spec import FeedSpec  # noqa: TC001  pydantic reads the annotations
+from devices.glasses_spec import GlassesSpec  # noqa: TC001
 from devices.registry import DeviceContext, factory, unknown_driver
 from devices.toml_model import Table, load_model
 from devices.values import Limits
@@ -16,7 +18,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from devices.protocols import Camera, Clock, Stage
+    from devices.protocols import Camera, Clock, Eyewear, Feed, Stage
+    from devices.registry import Kind
+
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -173,8 +177,14 @@ class SimSpec(Table):
 class RigSpec(Table):
     """An instrument file, ``instrument.toml``.
 
-    ``[microtome]``, ``[glasses]`` and ``[input]`` are accepted as they are: their keys are not looked at until the
-    program drives these devices.
+    Attributes
+    ----------
+    microtome : FeedSpec or None
+        The feed of a microtome or polisher, if there is one.
+    glasses : GlassesSpec or None
+        Shutter glasses, if there are any.
+    input : dict or None
+        Accepted as it is: its keys are not looked at until the program takes input from such devices.
     """
 
     schema_: Annotated[Literal[1], Field(alias="schema")] = 1
@@ -184,8 +194,8 @@ class RigSpec(Table):
     optics: OpticsSpec
     stage: StageSpec
     sim: SimSpec = SimSpec()
-    microtome: dict[str, Any] | None = None
-    glasses: dict[str, Any] | None = None
+    microtome: FeedSpec | None = None
+    glasses: GlassesSpec | None = None
     input: dict[str, Any] | None = None
 
     @property
@@ -220,17 +230,25 @@ class Rig:
         The z axis.
     camera : Camera
         The camera.
+    feed : Feed or None
+        Of the microtome, if the file names one.
+    glasses : Eyewear or None
+        Shutter glasses, if the file names any.
     """
 
-    def __init__(self, spec: RigSpec, stage: Stage, camera: Camera) -> None:
+    def __init__(
+        self, spec: RigSpec, stage: Stage, camera: Camera, feed: Feed | None = None, glasses: Eyewear | None = None
+    ) -> None:
         self.spec = spec
         self.stage = stage
         self.camera = camera
+        self.feed = feed
+        self.glasses = glasses
 
 
 @contextmanager
 def open_rig(spec: RigSpec, *, clock: Clock, transcript: Path | None = None) -> Iterator[Rig]:
-    """Open the stage, then the camera; close them in reverse order, whatever happens between.
+    """Open stage, feed, glasses and camera in this order; close them in reverse, whatever happens between.
 
     Parameters
     ----------
@@ -249,9 +267,24 @@ def open_rig(spec: RigSpec, *, clock: Clock, transcript: Path | None = None) -> 
         A device is missing, silent or taken.
     """
     with ExitStack() as open_devices:
-        stage: Stage = factory(spec.stage.z.driver, "stage")(spec.stage.z, DeviceContext(clock, transcript))
-        open_devices.callback(stage.close)
-        context = DeviceContext(clock, transcript, stage.position_um)
-        camera: Camera = factory(spec.camera.driver, "camera")(spec.camera, context)
-        open_devices.callback(camera.close)
-        yield Rig(spec, stage, camera)
+        context = DeviceContext(clock, transcript)
+        stage: Stage = _opened("stage", spec.stage.z, context, open_devices)
+        feed: Feed | None = _opened("feed", spec.microtome, context, open_devices)
+        glasses: Eyewear | None = _opened("glasses", spec.glasses, context, open_devices)
+        seeing = DeviceContext(clock, transcript, stage.position_um)
+        camera: Camera = _opened("camera", spec.camera, seeing, open_devices)
+        yield Rig(spec, stage, camera, feed, glasses)
+
+
+def _opened(
+    kind: Kind,
+    table: AxisSpec | CameraSpec | FeedSpec | GlassesSpec | None,
+    context: DeviceContext,
+    open_devices: ExitStack,
+) -> Any:
+    """Open what a table names, None without one."""
+    if table is None:
+        return None
+    device = factory(table.driver, kind)(table, context)
+    open_devices.callback(device.close)
+    return device

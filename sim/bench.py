@@ -80,7 +80,7 @@ def build_bench(spec: RigSpec, clock: Clock) -> Bench:
         exposure_ms=spec.camera.exposure_ms,
         seed=spec.sim.seed,
     )
-    return Bench(spec, axis, stage_kind(table.driver).make(axis), specimen, sensor)
+    return Bench(spec, axis, stage_kind(table.driver).make(axis, table), specimen, sensor)
 
 
 def instrument_text(bench: Bench, ports: dict[str, str]) -> str:

@@ -30,6 +30,7 @@ DRIVES: dict[str, type[RegisterTwin]] = {
     "plc-mailbox": PlcMailbox,
 }
 IDLE_CLOSE_S = 60.0
+FRAME_GAP_S = 0.02  # 3.5 characters at 9600 baud are 4 ms; a client under load may pause within a frame
 READ_FUNCTION = 3
 FLIPPED = 0xA5
 
@@ -110,6 +111,8 @@ class FeedTwin:
         self._heard_s = now_s
         if self._hangs_up and silence_s > IDLE_CLOSE_S:
             raise PortDied
+        if silence_s > FRAME_GAP_S:
+            self._server.forget()
         replies = [self._reply(unit, pdu) for unit, pdu in self._server.frames(data)]
         return [reply for reply in replies if reply.data]
 

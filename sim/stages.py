@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from devices.errors import RigError, did_you_mean
@@ -12,6 +11,8 @@ from sim.motion import Axis
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from devices.rig import AxisSpec
 
 IDLE_AXES = Limits(-50_000.0, 50_000.0)
 
@@ -41,7 +42,7 @@ class Triggered(Protocol):
 class StageKind:
     """How the twin of a driver is made, and what it says to bytes of another baud."""
 
-    make: Callable[[Axis], Twin]
+    make: Callable[[Axis, AxisSpec], Twin]
     misheard: bytes = b""
 
 
@@ -82,9 +83,34 @@ class AsiTwin:
         self._controller = (Tiger if self._tiger else Ms2000)(self._axes)
 
 
+def _ms2000(axis: Axis, _table: AxisSpec) -> Twin:
+    return AsiTwin(axis)
+
+
+def _tiger(axis: Axis, _table: AxisSpec) -> Twin:
+    return AsiTwin(axis, tiger=True)
+
+
+def _pi(axis: Axis, table: AxisSpec) -> Twin:
+    from sim.controllers.pi_gcs import PiE709  # noqa: PLC0415
+
+    if table.units_per_um < MILLIMETRES_PER_UM * 1.01:
+        return PiE709.c863(axis)
+    return PiE709(axis, axis_id=table.axis or "1", um_per_unit=1 / table.units_per_um)
+
+
+def _prior(axis: Axis, table: AxisSpec) -> Twin:
+    from sim.controllers.prior import ProScan  # noqa: PLC0415
+
+    return ProScan(axis, step_um=1 / table.units_per_um)
+
+
+MILLIMETRES_PER_UM = 0.001
 KINDS = {
-    "asi-ms2000": StageKind(AsiTwin, misheard=b":N-1 \r\n"),
-    "asi-tiger": StageKind(partial(AsiTwin, tiger=True), misheard=b":N-1\r\n"),
+    "asi-ms2000": StageKind(_ms2000, misheard=b":N-1 \r\n"),
+    "asi-tiger": StageKind(_tiger, misheard=b":N-1\r\n"),
+    "pi-gcs2": StageKind(_pi),
+    "prior-proscan": StageKind(_prior, misheard=b"E,5\r"),
 }
 
 

@@ -123,6 +123,10 @@ class RtuServer:
             self._pending = self._pending[size:] if right else b""
         return found
 
+    def forget(self) -> None:
+        """Drop the beginning of a frame: a silence on the line ends it."""
+        self._pending = b""
+
     def reply(self, unit: int, pdu: bytes) -> bytes:
         """Return the framed reply to a request, nothing where a device keeps silent."""
         if unit == BROADCAST:

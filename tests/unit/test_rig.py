@@ -30,6 +30,8 @@ park_um = -2500.0
 [microtome]
 driver = "modbus"
 limits = { feed_um_max = 4000.0 }
+profile = "leadshine-rs"
+port = "/dev/ttyUSB1"
 [input.axes]
 z = { from = "tz" }
 [sim]
