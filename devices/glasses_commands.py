@@ -13,7 +13,6 @@ from cyclopts import Parameter
 
 from devices.clock import SystemClock
 from devices.errors import InputError, RigError
-from devices.glasses_spec import GlassesSpec
 from devices.glasses_timing import Edge, phase_report
 from devices.registry import DeviceContext
 from devices.rig import load_rig
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
 
     from devices.drivers.modem_glasses import ModemGlasses
     from devices.drivers.open3d import Open3dGlasses
+    from devices.glasses_spec import GlassesSpec
     from devices.glasses_timing import Eye
     from devices.protocols import Clock, Eyewear
 
@@ -130,13 +130,13 @@ def _glasses(instrument: Path, clock: Clock) -> Iterator[tuple[Eyewear, GlassesS
 
 def spec_of(instrument: Path) -> GlassesSpec:
     """Return the table ``[glasses]`` of an instrument file; raises `RigError` when there is none or it is wrong."""
-    table: Any = load_rig(instrument).glasses
+    table = load_rig(instrument).glasses
     if table is None:
         raise RigError(
             f"{instrument}: has no glasses.",
             fix='add a table: [glasses] with driver = "open3d" and port = "…"; see docs/glasses.md.',
         )
-    return table if isinstance(table, GlassesSpec) else GlassesSpec.model_validate(table)
+    return table
 
 
 def _open(spec: GlassesSpec, clock: Clock) -> Open3dGlasses | ModemGlasses:

