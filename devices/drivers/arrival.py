@@ -25,6 +25,7 @@ class Arrival:
     AGREE_S: ClassVar = 0.010
     STALL_S: ClassVar = 1.0
     ROUNDING: ClassVar = 1.001
+    SHORTEST_S: ClassVar = 1e-4  # a wait of less may be lost in the rounding of a clock's time
 
     def __init__(self, target_um: float | None, *, tolerance_um: float, now: float) -> None:
         self._target_um = target_um
@@ -53,7 +54,7 @@ class Arrival:
 
     def wait_s(self, now: float, poll_s: float) -> float:
         """Return how long to wait for the next reading: until it can confirm a first good one, else ``poll_s``."""
-        return poll_s if self._candidate is None else max(0.0, self._candidate[1] + self.AGREE_S - now)
+        return poll_s if self._candidate is None else max(self.SHORTEST_S, self._candidate[1] + self.AGREE_S - now)
 
     def _near(self, z_um: float, other_um: float | None) -> bool:
         return other_um is None or abs(z_um - other_um) <= self._tolerance_um

@@ -56,3 +56,13 @@ def test_it_is_asked_again_when_that_can_tell_something():
     assert arrival.wait_s(0.0, 0.004) == 0.004
     arrival.reached(10.0, 0.0, moving=False)
     assert arrival.wait_s(0.003, 0.004) == pytest.approx(0.007)
+
+
+@given(st.floats(0, 1e6))
+def test_whoever_waits_as_told_arrives(started_s: float):
+    arrival, now = Arrival(10.0, tolerance_um=TOLERANCE_UM, now=started_s), started_s
+    arrived = arrival.reached(10.0, now, moving=False)
+    for _ in range(3):
+        now += arrival.wait_s(now, 0.004)
+        arrived = arrival.reached(10.0, now, moving=False)
+    assert arrived

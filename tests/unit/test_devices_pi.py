@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from contextlib import closing
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
@@ -20,13 +21,15 @@ from devices.rig import AxisSpec
 from devices.transport.loopback import Loopback
 from devices.values import Limits
 from devices.wire import pi_gcs
-from devices.wire.exchange import Request
 from sim.clock import SimClock
 from sim.controllers.pi_gcs import PiE709
 from sim.motion import Axis
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "conformance"))
-from small_twin import OnPty  # noqa: E402
+from small_twin import OnPty
+
+if TYPE_CHECKING:
+    from devices.wire.exchange import Request
 
 TRAVEL = Limits(0.0, 400.0)
 REQUESTS = [

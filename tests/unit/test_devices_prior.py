@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,10 +15,12 @@ from devices.rig import AxisSpec
 from devices.transport.loopback import Loopback
 from devices.values import Limits
 from devices.wire import prior
-from devices.wire.exchange import Request
 from sim.clock import SimClock
 from sim.controllers.prior import ProScan
 from sim.motion import Axis
+
+if TYPE_CHECKING:
+    from devices.wire.exchange import Request
 
 REQUESTS = [
     prior.identity(), prior.standard_mode(), prior.resolution(), prior.position(), prior.set_position(0), prior.move(5),
