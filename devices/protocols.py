@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from devices.feed_values import KnifeState
     from devices.glasses_timing import Eye, EyewearTiming
-    from devices.values import CameraCaps, FrameStamp, Limits, StageSequence
+    from devices.values import CameraCaps, FrameStamp, Limits, Roi, StageSequence
 
     FrameSink = Callable[[np.ndarray, FrameStamp], None]
 
@@ -136,8 +136,14 @@ class Camera(Protocol):
         """Return what frames look like now."""
         ...
 
-    def configure(self, *, exposure_ms: float) -> None:
-        """Set the exposure; raises `LimitError` when the camera cannot do it."""
+    def configure(self, *, exposure_ms: float, roi: Roi | None = None) -> None:
+        """Set the exposure and, if given, the part of the frame to deliver from now on; to be called while not armed.
+
+        Raises
+        ------
+        LimitError
+            The camera cannot do it.
+        """
         ...
 
     def arm(self, frames: int | None, sink: FrameSink) -> None:
@@ -260,4 +266,13 @@ class Feed(Protocol):
 
     def close(self) -> None:
         """Release the line; feed and knife stay where they are."""
+        ...
+
+
+@runtime_checkable
+class FreeRunningCamera(Protocol):
+    """A camera that waits for triggers after `Camera.arm`, but can run free as well."""
+
+    def arm_free_run(self, frames: int | None, sink: FrameSink) -> None:
+        """Deliver a number of frames as they come (None: until `Camera.stop`), in the driver's own thread."""
         ...

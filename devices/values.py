@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 from devices.errors import LimitError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+TriggerKind = Literal["software", "free-run", "external"]
 
 NM_PER_UM = 1000
 
@@ -38,6 +44,31 @@ class Limits:
 
 
 @dataclass(frozen=True)
+class Roi:
+    """A part of a camera's frame in pixels: its upper left corner from the frame's, and its size."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+    def check(self, caps: CameraCaps) -> None:
+        """Raise `LimitError` unless it is a part of the frames ``caps`` speaks of."""
+        across = 0 <= self.x < self.x + self.width <= caps.width
+        down = 0 <= self.y < self.y + self.height <= caps.height
+        if not (across and down):
+            raise LimitError(
+                f"camera: {self.width} x {self.height} px at ({self.x}, {self.y}) is no part of a frame of "
+                f"{caps.width} x {caps.height} px; it stays as it is.",
+                fix="choose a part inside the frame.",
+            )
+
+    def of(self, pixels: np.ndarray) -> np.ndarray:
+        """Return this part of a frame as a view."""
+        return pixels[self.y : self.y + self.height, self.x : self.x + self.width]
+
+
+@dataclass(frozen=True)
 class CameraCaps:
     """What a camera delivers as it is configured now.
 
@@ -57,6 +88,15 @@ class CameraCaps:
         Longest time from the end of an exposure to the arrival of its frame.
     buffered_frames : int
         Frames the driver may hold back and deliver late (UVC: about 4; triggered cameras: 0).
+    triggers : frozenset of str
+        ``"software"``: a frame upon each `Camera.trigger`; ``"free-run"``: frames as they come; ``"external"``: upon
+        a pulse at its input. A camera with ``"free-run"`` alone ignores triggers.
+    numbered : bool
+        Whether `FrameStamp.hw_id` counts, so that a lost frame shows.
+    roi_in_camera : bool
+        A part of the frame is cut out by the camera, which then is faster, or else by the driver.
+    bit_depths : tuple of int
+        Depths the camera can be set to; empty when it has only the one it is at.
     """
 
     name: str
@@ -68,6 +108,10 @@ class CameraCaps:
     timed: bool
     readout_ms: float = 0.0
     buffered_frames: int = 0
+    triggers: frozenset[TriggerKind] = frozenset({"software"})
+    numbered: bool = False
+    roi_in_camera: bool = False
+    bit_depths: tuple[int, ...] = ()
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from devices.drivers.cropping import Crop
 from devices.errors import DeviceError, LimitError
 from devices.values import FrameStamp
 
 if TYPE_CHECKING:
     from devices.protocols import FrameSink
-    from devices.values import CameraCaps
+    from devices.values import CameraCaps, Roi
     from sim.motion import Axis
 
 SHORTEST_MS, LONGEST_MS = 0.01, 10_000.0
@@ -94,11 +95,12 @@ class SimCamera:
     """
 
     def __init__(self, maker: FrameMaker, axis: Axis, *, exposure_ms: float = 10.0) -> None:
-        self._caps = maker.caps()
+        whole = maker.caps()
+        self._crop = Crop(whole)
         self._shutter = Shutter(maker, axis)
         self._clock = axis.clock
         self._exposure_ms = exposure_ms
-        self._pixels = np.empty(self._caps.shape, self._caps.dtype)
+        self._pixels = np.empty(whole.shape, whole.dtype)
         self._view = self._pixels.view()
         self._view.flags.writeable = False
         self._sink: FrameSink | None = None
@@ -107,11 +109,12 @@ class SimCamera:
 
     def caps(self) -> CameraCaps:
         """Return what frames look like."""
-        return self._caps
+        return self._crop.caps
 
-    def configure(self, *, exposure_ms: float) -> None:
-        """Set the exposure; raises `LimitError` for an impossible one."""
+    def configure(self, *, exposure_ms: float, roi: Roi | None = None) -> None:
+        """Set exposure and part of the frame; raises `LimitError` for impossible ones."""
         check_exposure(exposure_ms)
+        self._crop.choose(roi)
         self._exposure_ms = exposure_ms
 
     def arm(self, frames: int | None, sink: FrameSink) -> None:
@@ -126,7 +129,7 @@ class SimCamera:
         start_ns, end_ns = self._shutter.expose(self._exposure_ms, self._pixels)
         self._frames_left -= 1
         self._exposed += 1
-        self._sink(self._view, FrameStamp(round(self._clock.now() * NS), self._exposed, start_ns, end_ns))
+        self._sink(self._crop(self._view), FrameStamp(round(self._clock.now() * NS), self._exposed, start_ns, end_ns))
 
     def stop(self, timeout_s: float) -> None:  # noqa: ARG002  nothing to wait for
         """Deliver no more."""

@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 import tifffile
 
-from devices.errors import DeviceError, InputError, LimitError, RigError
+from devices.drivers.cropping import Crop, check_exposure
+from devices.errors import DeviceError, InputError, RigError
 from devices.values import CameraCaps, FrameStamp
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from devices.protocols import Clock, FrameSink
     from devices.registry import DeviceContext
     from devices.rig import CameraSpec
+    from devices.values import Roi
 
 TIFF = frozenset({".tif", ".tiff"})
 SUFFIXES = TIFF | {".png", ".jpg", ".jpeg"}
@@ -58,19 +60,19 @@ class FolderCamera:
         self._z0_um, self._step_um = spec.z0_um, spec.step_um
         self._position_um = position_um
         self._clock = clock
-        self._caps = _common_caps(images, spec)
+        self._crop = Crop(_common_caps(images, spec))
         self._sink: FrameSink | None = None
         self._frames_left: int | None = None
         self._taken = 0
 
     def caps(self) -> CameraCaps:
         """Return what the images look like."""
-        return self._caps
+        return self._crop.caps
 
-    def configure(self, *, exposure_ms: float) -> None:
-        """Accept any exposure: the images were exposed long ago."""
-        if not exposure_ms > 0:
-            raise LimitError(f"camera: an exposure of {exposure_ms:g} ms is none.")
+    def configure(self, *, exposure_ms: float, roi: Roi | None = None) -> None:
+        """Accept any exposure, for the images were exposed long ago, and any part of them."""
+        check_exposure(exposure_ms)
+        self._crop.choose(roi)
 
     def arm(self, frames: int | None, sink: FrameSink) -> None:
         """Get ready for a number of frames."""
@@ -87,7 +89,7 @@ class FolderCamera:
         if self._sink is None or self._frames_left == 0:
             raise DeviceError("camera: triggered without being armed for another frame.")
         start_ns = int(self._clock.now() * 1e9)
-        pixels = _read(*self._images[self._index_at(self._position_um())])
+        pixels = self._crop(_read(*self._images[self._index_at(self._position_um())]))
         pixels.flags.writeable = False
         now_ns = int(self._clock.now() * 1e9)
         self._taken += 1
@@ -228,7 +230,7 @@ def _common_caps(images: list[tuple[str, Callable[[], np.ndarray]]], spec: Camer
         raise RigError(f"camera: size_px is {list(spec.size_px)}, but the images are {width} x {height} px.")
     depth = 8 if first.dtype == np.uint8 else spec.bit_depth if spec.bit_depth > 8 else 16
     bands = 1 if first.ndim == 2 else 3
-    return CameraCaps("folder", height, width, bands, str(first.dtype), depth, timed=True)
+    return CameraCaps("folder", height, width, bands, str(first.dtype), depth, timed=True, numbered=True)
 
 
 def _kind(pixels: np.ndarray) -> str:

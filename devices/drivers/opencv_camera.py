@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from devices.drivers.cropping import Crop, check_exposure
 from devices.errors import CameraTimeout, DeviceError, LimitError, LinkLost, RigError
 from devices.values import CameraCaps, FrameStamp
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from devices.protocols import Clock, FrameSink
     from devices.registry import DeviceContext
     from devices.rig import CameraSpec
+    from devices.values import Roi
 
 BUFFERED_FRAMES = 4  # V4L2 and Media Foundation queue about this many; older frames come first
 SLOWEST_READOUT_MS = 100.0
@@ -48,19 +50,19 @@ class OpenCvCamera:
         self._exposure_s = spec.exposure_ms / 1000
         self._recorded = not _is_device(str(spec.source))
         self._capture = _opened(spec)
-        self._caps = self._caps_of_first_frame()
+        self._crop = Crop(self._caps_of_first_frame())
         self._thread: Thread | None = None
         self._ending = Event()
         self._failure: LinkLost | None = None
 
     def caps(self) -> CameraCaps:
         """Return what frames look like; nothing is known of their times but the arrival."""
-        return self._caps
+        return self._crop.caps
 
-    def configure(self, *, exposure_ms: float) -> None:
-        """Set the exposure; raises `LimitError` when the camera insists on its own."""
-        if not exposure_ms > 0:
-            raise LimitError(f"camera: an exposure of {exposure_ms:g} ms is none.")
+    def configure(self, *, exposure_ms: float, roi: Roi | None = None) -> None:
+        """Set exposure and part of the frame; raises `LimitError` when the camera insists on its own exposure."""
+        check_exposure(exposure_ms)
+        self._crop.choose(roi)
         self._exposure_s = exposure_ms / 1000
         if self._recorded:
             return
@@ -109,7 +111,7 @@ class OpenCvCamera:
                 self._failure = _gone(self._spec, number)
                 return
             number += 1
-            sink(_rgb(pixels), FrameStamp(arrival_ns))
+            sink(_rgb(self._crop(pixels)), FrameStamp(arrival_ns))
             if self._recorded:
                 self._clock.sleep(self._exposure_s)
 
@@ -135,6 +137,7 @@ class OpenCvCamera:
             timed=False,
             readout_ms=1000 / rate_hz if rate_hz > 0 else SLOWEST_READOUT_MS,
             buffered_frames=0 if self._recorded else BUFFERED_FRAMES,
+            triggers=frozenset({"free-run"}),
         )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import mmap
 from pathlib import Path
 from threading import Event, Thread
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from devices.drivers.cropping import Crop, check_exposure
 from devices.errors import CameraTimeout, DeviceBusy, DeviceError, LimitError, MalformedReply, RigError
 from devices.transport.json_lines import JsonLines
 from devices.values import CameraCaps, FrameStamp
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from devices.protocols import Clock, FrameSink
     from devices.registry import DeviceContext
     from devices.rig import CameraSpec
+    from devices.values import Roi
 
 ANSWER_S = 5.0
 STREAM_SLICE_S = 0.05
@@ -54,19 +55,20 @@ class SimCamera:
         self._stream: Thread | None = None
         answer = self._ask("caps", ANSWER_S)
         try:
-            self._caps = _caps(answer["caps"])
-            self._slots = _slots(answer["frames"], self._caps)
+            whole = _caps(answer["caps"])
+            self._slots = _slots(answer["frames"], whole)
         except (KeyError, TypeError, ValueError, OverflowError, OSError) as cause:
             raise _no_camera(f"{type(cause).__name__}: {cause}", answer) from cause
+        self._crop = Crop(whole)
 
     def caps(self) -> CameraCaps:
         """Return what frames look like."""
-        return self._caps
+        return self._crop.caps
 
-    def configure(self, *, exposure_ms: float) -> None:
-        """Set the exposure; raises `LimitError` with the bench's words when it refuses."""
-        if not 0 < exposure_ms < math.inf:
-            raise LimitError(f"camera: an exposure of {exposure_ms:g} ms is none.")
+    def configure(self, *, exposure_ms: float, roi: Roi | None = None) -> None:
+        """Set exposure and part of the frame; raises `LimitError` with the bench's words when it refuses."""
+        check_exposure(exposure_ms)
+        self._crop.choose(roi)
         try:
             self._ask("configure", ANSWER_S, exposure_ms=exposure_ms)
         except _NotDone as refusal:
@@ -131,7 +133,7 @@ class SimCamera:
     def _hand_over(self, answer: dict[str, Any]) -> None:
         arrival_ns = int(self._clock.now() * 1e9)
         try:
-            pixels = self._slots[int(answer["slot"])]
+            pixels = self._crop(self._slots[int(answer["slot"])])
             stamp = FrameStamp(arrival_ns, *(int(answer[key]) for key in STAMPED))
         except (KeyError, TypeError, ValueError, OverflowError, IndexError) as cause:
             raise _no_camera(f"{type(cause).__name__}: {cause}", answer) from cause
@@ -201,6 +203,8 @@ def _caps(said: dict[str, Any]) -> CameraCaps:
         dtype=str(np.dtype(said["dtype"])),
         bit_depth=int(said["bit_depth"]),
         timed=True,
+        triggers=frozenset({"software", "external"}),
+        numbered=True,
     )
     if caps.dtype not in ("uint8", "uint16") or caps.bands not in (1, 3) or min(caps.shape) < 1:
         raise ValueError(f"frames of {caps.shape} {caps.dtype}")

@@ -13,12 +13,12 @@ import tifffile
 from small_twin import OnTcp, SmallBench
 
 from devices.clock import SystemClock
-from devices.drivers import folder_camera, opencv_camera, sim_camera
+from devices.drivers import folder_camera, genicam_camera, mm_camera, opencv_camera, sim_camera
 from devices.errors import LimitError
 from devices.protocols import Camera
 from devices.registry import DeviceContext
 from devices.rig import CameraSpec
-from devices.values import CameraCaps, FrameStamp, Limits
+from devices.values import CameraCaps, FrameStamp, Limits, Roi
 from sim.camera import Replay, SimCamera
 from sim.motion import Axis
 
@@ -54,15 +54,29 @@ def of_numbered_images(folder: Path):
 
 def by_itself(folder: Path):
     clock = SystemClock()
-    caps = CameraCaps("plain", *SHAPE, bands=1, dtype="uint16", bit_depth=12, timed=True)
+    caps = CameraCaps("plain", *SHAPE, bands=1, dtype="uint16", bit_depth=12, timed=True, numbered=True)
     frames = np.arange(1, 4, dtype=np.uint16)[:, None, None] * np.ones(SHAPE, np.uint16)
     yield SimCamera(Replay(frames, caps), Axis(clock, Limits(-200.0, 200.0)), exposure_ms=1.0)
 
 
-@pytest.fixture(params=[by_itself, of_a_bench, of_a_folder, of_numbered_images], ids=lambda make: make.__name__)
+def of_micro_manager(folder: Path):
+    table = CameraSpec(driver="micro-manager", source="DemoCamera", address="DCam", size_px=SHAPE[::-1])
+    yield mm_camera.open_camera(table, context())
+
+
+def of_genicam(folder: Path):
+    yield genicam_camera.open_camera(CameraSpec(driver="genicam", source="viky", size_px=SHAPE[::-1]), context())
+
+
+PAINTED = [by_itself, of_a_bench, of_a_folder, of_numbered_images]
+SIMULATED_BY_OTHERS = [of_micro_manager, of_genicam]
+
+
+@pytest.fixture(params=[*PAINTED, *SIMULATED_BY_OTHERS], ids=lambda make: make.__name__)
 def camera(request: pytest.FixtureRequest, tmp_path: Path):
     opened = request.param(tmp_path)
     device = next(opened)
+    device.painted = request.param in PAINTED
     yield device
     device.close()
     assert list(opened) == []
@@ -96,9 +110,49 @@ def test_it_is_a_camera_whose_frames_are_as_it_says(camera: Camera):
         camera.trigger()
     taken.wait_for(3)
     caps = camera.caps()
-    assert caps.shape == SHAPE
+    assert caps.shape[:2] == SHAPE
+    assert caps.triggers
     assert all(pixels.shape == caps.shape and str(pixels.dtype) == caps.dtype for pixels, _ in taken.frames)
-    assert all(pixels.min() == pixels.max() > 0 for pixels, _ in taken.frames), "a torn frame"
+    if camera.painted:
+        assert all(pixels.min() == pixels.max() > 0 for pixels, _ in taken.frames), "a torn frame"
+
+
+def test_frames_are_counted_if_it_says_so(camera: Camera):
+    taken = Taken()
+    camera.arm(3, taken)
+    for number in range(3):
+        camera.trigger()
+        if "software" in camera.caps().triggers:
+            taken.wait_for(number + 1)
+    taken.wait_for(3)
+    ids = [stamp.hw_id for _, stamp in taken.frames]
+    if camera.caps().numbered:
+        assert [number - ids[0] for number in ids] == [0, 1, 2]
+    else:
+        assert ids == [None] * 3
+
+
+def test_a_part_of_the_frame_is_delivered_as_such(camera: Camera):
+    camera.configure(exposure_ms=2.0, roi=Roi(1, 2, 5, 3))
+    assert camera.caps().shape[:2] == (3, 5)
+    taken = Taken()
+    camera.arm(1, taken)
+    camera.trigger()
+    taken.wait_for(1)
+    assert taken.frames[0][0].shape == camera.caps().shape
+    assert camera.caps().frame_bytes == taken.frames[0][0].nbytes
+
+
+@pytest.mark.parametrize("roi", [Roi(-1, 0, 4, 4), Roi(0, 0, 10**6, 2), Roi(0, 0, 0, 2), Roi(2, 10**6, 2, 2)])
+def test_a_part_outside_the_frame_is_refused_and_changes_nothing(camera: Camera, roi: Roi):
+    with pytest.raises(LimitError, match="is no part of a frame"):
+        camera.configure(exposure_ms=2.0, roi=roi)
+    assert camera.caps().shape[:2] == SHAPE
+    taken = Taken()
+    camera.arm(1, taken)
+    camera.trigger()
+    taken.wait_for(1)
+    assert taken.frames[0][0].shape[:2] == SHAPE
 
 
 def test_its_times_are_in_order(camera: Camera):
