@@ -1,8 +1,8 @@
 """What the link costs above the bare pseudo-terminal, and what it costs to poll.
 
-Run: ``python benchmarks/bench_link.py``. The same peer, a process that answers each line at once, is asked in turns with
-bare system calls and through the link, in one run. Prints a table and a line of JSON; ends with 1 when a limit is
-missed.
+Run: ``python benchmarks/bench_link.py``. The same peer, a process that answers each line at once with the number of the
+line, is asked in turns with bare system calls and through the link, in one run; every answer is checked to be that of
+its question. Prints a table and a line of JSON; ends with 1 when a limit is missed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from devices.link import Link
 from devices.transport.serial_port import SerialPort
 from devices.wire import asi
 
-REPLY = b":A 1234 \r\n"
 ROUNDS, PER_ROUND = 40, 50
 POLLS_PER_S, POLLING_S = 16, 5
 OVERHEAD_MS, CORE_PERCENT = 0.15, 1.0
@@ -59,19 +58,20 @@ def measure(slave: int, path: str) -> tuple[float, float, float]:
     bare, linked = [], []
     with closing(Link(SerialPort(path, 115200, device="peer"), SystemClock(), terminator=asi.TERMINATOR)) as link:
         for _ in range(ROUNDS):
-            bare += [timed(lambda: ask_bare(slave)) for _ in range(PER_ROUND)]
-            linked += [timed(lambda: link.ask(asi.where())) for _ in range(PER_ROUND)]
+            for times_s, ask in ((bare, lambda: ask_bare(slave)), (linked, lambda: link.ask(asi.where()))):
+                times_s += [timed(ask, len(bare) + len(linked) + turn + 1) for turn in range(PER_ROUND)]
         core_percent = polling(link)
     return statistics.median(bare) * 1e3, statistics.median(linked) * 1e3, core_percent
 
 
-def ask_bare(slave: int) -> None:
-    """Ask with nothing but system calls."""
+def ask_bare(slave: int) -> int:
+    """Ask with nothing but system calls; return the number of the answer."""
     os.write(slave, b"W Z\r")
     received = b""
     while not received.endswith(b"\r\n"):
         select.select([slave], [], [])
         received += os.read(slave, 64)
+    return int(received[3:])
 
 
 def polling(link: Link) -> float:
@@ -83,17 +83,22 @@ def polling(link: Link) -> float:
     return (time.process_time() - cpu_s) / (time.perf_counter() - started_s) * 100
 
 
-def timed(work) -> float:
-    """Return how long it takes in seconds."""
+def timed(ask, number: int) -> float:
+    """Return how long it takes in seconds to get the answer with this number."""
     start = time.perf_counter()
-    work()
-    return time.perf_counter() - start
+    answer_number = ask()
+    took_s = time.perf_counter() - start
+    assert answer_number == number, f"answer {answer_number} to question {number}"
+    return took_s
 
 
 def answer(master: int) -> None:
-    """Answer each line at once, for ever."""
+    """Answer each line at once with its number, for ever."""
+    number = 0
     while True:
-        os.write(master, REPLY * os.read(master, 64).count(b"\r"))
+        for _ in range(os.read(master, 64).count(b"\r")):
+            number += 1
+            os.write(master, b":A %d \r\n" % number)
 
 
 if __name__ == "__main__":
