@@ -27,7 +27,7 @@ SIGMAS = 5.0
 SMALLEST_COARSE_PX = 40
 NORMAL_MAD = 1.4826
 SURROUND = 0.35  # of the indent's size, to every side: the face around it
-BLURS = (0.06, 0.02)  # of the longer diagonal: first from afar, then from near
+BLURS = (0.06, 0.02)  # of the mean diagonal: first from afar, then from near
 SHORTEST_BLUR_PX = 1.0
 MOST_PIXELS = 200_000  # of a patch; larger ones are halved
 ROUNDS, DONE_PX = 25, 0.02
@@ -36,6 +36,7 @@ STEP_PX = 0.25
 BLOCKS = 12  # along a side of the patch: misfits are alike within a block
 LEAST_EXPLAINED = 0.25  # of the smoothed patch's variance
 MOST_LEAN_DEG = 12.0  # of the angle between the diagonals from 90°
+MOST_BOW = 0.07  # of a side; a round pit has 0.2
 LEAST_HALF = 0.3  # share of a diagonal on either side of the crossing
 
 
@@ -161,7 +162,9 @@ def is_indent(outline: Fit) -> bool:
     lean = abs(np.degrees(angles[1] - angles[0]) % 180 - 90)
     ends = np.hypot(*(corners - outline.centre_px).T)
     shares = [min(ends[k], ends[k + 2]) / (ends[k] + ends[k + 2]) for k in (0, 1)]
-    return bool(outline.explained >= LEAST_EXPLAINED and lean <= MOST_LEAN_DEG and min(shares) >= LEAST_HALF)
+    straight = abs(outline.bow_px) <= MOST_BOW * float(np.hypot(*(corners[1] - corners[0])))
+    crossed = lean <= MOST_LEAN_DEG and min(shares) >= LEAST_HALF
+    return bool(outline.explained >= LEAST_EXPLAINED and straight and crossed)
 
 
 @dataclass(frozen=True)
@@ -187,12 +190,13 @@ class Patch:
 
     @classmethod
     def around(cls, grey: Array, corners: Array, share: float) -> Patch:
-        """Cut the patch out of a picture; edges are smoothed over ``share`` of the longer diagonal."""
+        """Cut the patch out of a picture; edges are smoothed over ``share`` of the mean diagonal."""
         longest = float(np.hypot(*(corners[2] - corners[0])))
         margin = SURROUND * longest
         low = np.maximum(np.floor(corners.min(axis=0) - margin), 0).astype(int)
         high = np.minimum(np.ceil(corners.max(axis=0) + margin), np.array(grey.shape[::-1]) - 1).astype(int) + 1
-        sigma = max(share * longest, SHORTEST_BLUR_PX)
+        shortest = float(np.hypot(*(corners[3] - corners[1])))
+        sigma = max(share * float(np.sqrt(longest * shortest)), SHORTEST_BLUR_PX)
         pixels = cv2.GaussianBlur(grey[low[1] : high[1], low[0] : high[0]], (0, 0), sigma)
         scale = max(1.0, float(np.sqrt(pixels.size / MOST_PIXELS)), sigma / 2)
         size = tuple(max(8, round(n / scale)) for n in pixels.shape[::-1])

@@ -126,13 +126,14 @@ def measured(fit: Fit, pixel_um: float) -> Indent | None:
     """Return the indent an outline is of; None when the diagonals are those of no pyramid."""
     lengths = sorted((fit.diagonal_px(k) for k in (0, 1)), reverse=True)
     (long, short), statistical = ([pair[k] * pixel_um for pair in lengths] for k in (0, 1))
-    errors = [math.hypot(s, TIP_SHARE * d) for s, d in zip(statistical, (long, short), strict=True)]
     shape = told_shape(long / short)
     if shape is None:
         return None
+    odd = shape == "vickers" and long - short > REPEATABILITY * short
+    hidden = (long - short) / 2 if odd else 0.0  # a corner under a burr: nobody knows which
+    errors = [math.hypot(s, TIP_SHARE * d, hidden) for s, d in zip(statistical, (long, short), strict=True)]
     across, error = (long, errors[0]) if shape == "knoop" else ((long + short) / 2, math.hypot(*errors) / 2)
-    odd = shape == "vickers" and (long - short) / across > REPEATABILITY
-    words = (f"the diagonals differ by {(long - short) / across:.1%}; 3 % is usual.",) if odd else ()
+    words = (f"the diagonals differ by {long / short - 1:.1%}, 3 % is usual: look at its corners.",) if odd else ()
     centre = (float(fit.centre_px[0] * pixel_um), float(fit.centre_px[1] * pixel_um))
     depth = (depth_um(across, shape), error / DEPTH_RATIO[shape])
     return Indent(shape, fit.corners_px, centre, (long, short), (errors[0], errors[1]), *depth, words)

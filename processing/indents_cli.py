@@ -206,7 +206,8 @@ def outlined(image: Array, listed: list[Indent]) -> Array:
             axes.plot(*corners[[diagonal, diagonal + 2]].T, color="tab:orange", linewidth=0.7, linestyle="--")
         words = f"{k}: {indent.diagonals_um[0]:.2f} / {indent.diagonals_um[1]:.2f} µm, {indent.depth_um:.3f} µm deep"
         style = {"facecolor": "black", "alpha": 0.6, "pad": 2}
-        axes.text(float(corners[:, 0].max()), float(corners[:, 1].max()), words, color="white", fontsize=9, bbox=style)
+        x, y = (float(v) for v in (corners[:, 0].mean(), corners[:, 1].max() + 0.02 * height))
+        axes.text(x, y, words, color="white", fontsize=9, bbox=style, ha="center", va="top")
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
     axes.set_axis_off()
     canvas: Any = FigureCanvasAgg(figure)

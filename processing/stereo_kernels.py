@@ -20,6 +20,7 @@ MOST_COST = 62
 FEWEST_EQUATIONS = 12
 MARGIN = 3  # pixels a cubic and its slope need to either side
 FLAT = 1e-12
+LOCKING_PX = 0.03  # what a single step leaves of the whole pixels it starts from
 
 
 @compiled
@@ -185,7 +186,7 @@ def refine(
     left, right : (height, width) float32; start : (height, width) float32, NaN where unknown. Neighbours whose
     parallax differs by more than ``tear`` lie on another surface and are left out. Unknown are the parallax at the
     centre and its slopes along x and y. ``sigma`` is the error of the first unknown, from the scatter of the
-    residuals; ``similarity`` the correlation coefficient of the two windows.
+    residuals and what a single step leaves; ``similarity`` the correlation coefficient of the two windows.
     """
     height, width = left.shape
     normal, rhs, found, sums = np.zeros((3, 3)), np.zeros(3), np.zeros(3), np.zeros(7)
@@ -201,7 +202,7 @@ def refine(
                 continue
             unexplained = sums[1] - found[0] * rhs[0] - found[1] * rhs[1] - found[2] * rhs[2]
             parallax[i, j] = start[i, j] + min(max(found[0], -1.0), 1.0)
-            sigma[i, j] = np.sqrt(variance * max(unexplained, 0.0) / (sums[0] - 3))
+            sigma[i, j] = np.sqrt(variance * max(unexplained, 0.0) / (sums[0] - 3) + LOCKING_PX**2)
             similarity[i, j] = alike
 
 

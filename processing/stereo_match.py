@@ -29,6 +29,7 @@ AGREEMENT_PX = 1.5
 LEAST_RATIO = 0.02
 LEAST_SIMILARITY = 0.2
 WIDEST_SIGMA_PX = 1.0
+LEAST_CONTRAST_GREY = 1.0  # of 255, standard deviation in a window
 SPECKLE_PX = 50  # islands smaller than this are chance
 OUTLIER_PX = 2.0
 LOCAL_SIGMA_PX = 8.0
@@ -246,7 +247,9 @@ def _match_rows(left: Array, right: Array, band: tuple[int, int], reach_px: int)
     parallax, sigma, similarity = (np.empty_like(best) for _ in range(3))
     even = (evened(left), evened(right))
     kernels.refine(*even, start, reach_px, TEAR_PX, parallax, sigma, similarity)
-    keep = (similarity >= LEAST_SIMILARITY) & (sigma <= WIDEST_SIGMA_PX)
+    partner = np.arange(left.shape[1]) - parallax
+    keep = (similarity >= LEAST_SIMILARITY) & (sigma <= WIDEST_SIGMA_PX) & textured(left, reach_px)
+    keep &= (partner >= 0) & (partner <= left.shape[1] - 1)
     return _kept(parallax, keep), _kept(sigma, keep), np.where(keep, similarity, np.float32(0))
 
 
@@ -281,6 +284,14 @@ def evened(view: Array) -> Array:
     mean = cv2.GaussianBlur(view, *blur)
     contrast = np.sqrt(cv2.GaussianBlur((view - mean) ** 2, *blur) + 4)
     return np.asarray((view - mean) / contrast, np.float32)
+
+
+def textured(view: Array, reach_px: int) -> NDArray[np.bool_]:
+    """Return where the window around a pixel shows anything: clipped and blank parts cannot be matched."""
+    size = (2 * reach_px + 1,) * 2
+    mean = cv2.boxFilter(view.astype(np.float64), -1, size)
+    variance = cv2.boxFilter(view.astype(np.float64) ** 2, -1, size) - mean**2
+    return np.asarray(variance >= LEAST_CONTRAST_GREY**2)
 
 
 def mutual(best: Array, of_right: Array) -> NDArray[np.bool_]:
