@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
+from devices.bands import Bands  # noqa: TC001  pydantic reads the annotations
 from devices.errors import RigError
-from devices.feed_spec import FeedSpec  # noqa: TC001  pydantic reads the annotations
+from devices.feed_spec import FeedSpec  # noqa: TC001
 from devices.glasses_spec import GlassesSpec  # noqa: TC001
 from devices.registry import DeviceContext, factory, unknown_driver
 from devices.toml_model import Table, load_model
@@ -179,6 +180,8 @@ class RigSpec(Table):
 
     Attributes
     ----------
+    band : tuple of BandSpec
+        Channels, filters and lights as named settings.
     microtome : FeedSpec or None
         The feed of a microtome or polisher, if there is one.
     glasses : GlassesSpec or None
@@ -194,6 +197,7 @@ class RigSpec(Table):
     optics: OpticsSpec
     stage: StageSpec
     sim: SimSpec = SimSpec()
+    band: Bands = ()
     microtome: FeedSpec | None = None
     glasses: GlassesSpec | None = None
     input: dict[str, Any] | None = None

@@ -91,7 +91,7 @@ def instrument_text(bench: Bench, ports: dict[str, str]) -> str:
     bench : Bench
         What it describes; what the file of the instrument left open is told as it is here.
     ports : dict of str to str
-        Where the devices are: ``camera``, ``z``.
+        Where the devices are: ``camera``, ``z``, ``feed``, ``glasses``; what has no port is left out.
     """
     height, width = bench.sensor.caps().shape
     told = bench.spec.model_dump(mode="json", by_alias=True, exclude_none=True)
@@ -104,6 +104,11 @@ def instrument_text(bench: Bench, ports: dict[str, str]) -> str:
         **kept,
     }
     told["stage"]["z"].update(port=ports["z"], speed_um_s=bench.axis.speed_um_s)
+    for table, device in (("microtome", "feed"), ("glasses", "glasses")):
+        told.pop(table, None)
+        if device in ports:
+            given = getattr(bench.spec, table).model_dump(mode="json", exclude_unset=True)
+            told[table] = {**given, "port": ports[device]}
     return TITLE + toml_text(told)
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from devices.protocols import Clock
 
 LATE_S = 0.7
-NUMBER, SHARE, SECONDS, PLACE = "", "%", "s", "um"
+NUMBER, SHARE, SECONDS, PLACE, DRIFT = "", "%", "s", "um", "ppm"
 ONCE, LASTING = (NUMBER, SHARE), (NUMBER, SECONDS)
 ON_A_WIRE = {"silent": LASTING, "die": LASTING, "drop": ONCE, "late": ONCE, "garble": ONCE, "half": ONCE}
 SERIAL_DEVICES = ("z", "feed", "glasses")
@@ -29,11 +29,23 @@ KINDS: dict[str, tuple[str, ...]] = {
     **{f"{device}.{kind}": units for device in SERIAL_DEVICES for kind, units in ON_A_WIRE.items()},
     "z.stall": (PLACE,),
     "z.limit": (PLACE,),
+    "feed.stall": (PLACE,),
+    "feed.alarm": (PLACE,),
+    "feed.jam": (),
+    "feed.uncounted": (),
+    "glasses.drift": (DRIFT,),
     "camera.drop": ONCE,
     "camera.hang": LASTING,
 }
-MEANING = {NUMBER: "N (the Nth)", SHARE: "N% (a share of all)", SECONDS: "Ns (seconds after the start)", PLACE: "Zum"}
-_FAULT = re.compile(r"([a-z]+\.[a-z]+)(?:@(-?\d+(?:\.\d+)?)(um|s|%|))?")
+SIGNED = {PLACE, DRIFT}
+MEANING = {
+    NUMBER: "N (the Nth)",
+    SHARE: "N% (a share of all)",
+    SECONDS: "Ns (seconds after the start)",
+    PLACE: "Zum",
+    DRIFT: "Nppm",
+}
+_FAULT = re.compile(r"([a-z]+\.[a-z]+)(?:@(-?\d+(?:\.\d+)?)(um|ppm|s|%|))?")
 
 
 @dataclass(frozen=True)
@@ -101,12 +113,12 @@ def parse_faults(texts: Iterable[str]) -> tuple[Fault, ...]:
 
 def _fits(when: str | None, unit: str | None, units: tuple[str, ...]) -> bool:
     if when is None:
-        return PLACE not in units
-    return (unit or NUMBER) in units and (unit == PLACE or float(when) >= 0)
+        return not set(units) & SIGNED
+    return (unit or NUMBER) in units and (unit in SIGNED or float(when) >= 0)
 
 
 def _forms(kind: str) -> list[str]:
-    bare = [] if PLACE in KINDS[kind] else [f"{kind} (always)"]
+    bare = [] if set(KINDS[kind]) & SIGNED else [f"{kind} (always)"]
     return bare + [f"{kind}@{MEANING[unit]}" for unit in KINDS[kind]]
 
 
@@ -150,7 +162,7 @@ class Faults:
         self._clock = clock
         self._chance = np.random.default_rng(seed).random
         self._counts: Counter[str] = Counter()
-        self._mechanics: dict[str, Callable[[float | None], None]] = {}
+        self._mechanics: dict[str, Callable[[Fault | None], None]] = {}
         self._armed: tuple[Armed, ...] = ()
         for fault in faults:
             self.switch_on(fault)
@@ -160,18 +172,18 @@ class Faults:
         """Return the faults that are on."""
         return tuple(armed.fault for armed in self._armed)
 
-    def when_changed(self, kind: str, do: Callable[[float | None], None]) -> None:
-        """Let ``do`` be called with its number when a fault of the mechanics goes on, with None when it goes off."""
+    def when_changed(self, kind: str, do: Callable[[Fault | None], None]) -> None:
+        """Let ``do`` be called with a fault of the mechanics when it goes on, with None when it goes off."""
         self._mechanics[kind] = do
         for fault in self.active:
             if fault.kind == kind:
-                do(fault.when)
+                do(fault)
 
     def switch_on(self, fault: Fault) -> None:
         """Switch a fault on; one of the same kind that was on ends."""
         others = tuple(armed for armed in self._armed if armed.fault.kind != fault.kind)
         self._armed = (*others, Armed(fault, self._counts[fault.device], self._clock.now()))
-        self._done(fault.kind, fault.when)
+        self._done(fault.kind, fault)
 
     def switch_off(self, kind: str) -> bool:
         """Switch the faults of a kind off and tell whether one was on."""
@@ -190,9 +202,9 @@ class Faults:
         number = self._counts[armed.fault.device] - armed.count
         return armed.fault.strikes(number, self._clock.now() - armed.since_s, self._chance)
 
-    def _done(self, kind: str, when: float | None) -> None:
+    def _done(self, kind: str, fault: Fault | None) -> None:
         if kind in self._mechanics:
-            self._mechanics[kind](when)
+            self._mechanics[kind](fault)
 
 
 class FaultyTwin:

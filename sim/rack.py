@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
-from devices.errors import InputError, did_you_mean
+from devices.errors import InputError, RigError, did_you_mean
 from devices.values import Limits
 from sim.faults import FaultyTwin
 from sim.motion import ENDLESS
@@ -17,10 +18,15 @@ if TYPE_CHECKING:
     from contextlib import ExitStack
     from pathlib import Path
 
+    from devices.feed_spec import FeedSpec
+    from devices.protocols import Clock
     from sim.bench import Bench
-    from sim.faults import Faults
+    from sim.faults import Fault, Faults
     from sim.motion import Axis
     from sim.stages import Twin
+
+
+EMITTER_BAUD = 115200
 
 
 class Line(Protocol):
@@ -96,10 +102,17 @@ Rack = dict[str, Device]
 
 def fill_rack(bench: Bench, faults: Faults, folder: Path, cleanup: ExitStack, *, tcp: bool) -> Rack:
     """Put every device of the bench on its wires; `cleanup` takes them off."""
-    devices = [stage_device(bench, faults, folder, tcp=tcp)]
-    for device in devices:
+    spec, rack = bench.spec, {}
+    makers: list[Callable[[], Device]] = [lambda: stage_device(bench, faults, folder, tcp=tcp)]
+    if spec.microtome is not None:
+        makers.append(partial(feed_device, spec.microtome, faults, bench.axis.clock, folder))
+    if spec.glasses is not None and spec.glasses.driver == "open3d":
+        makers.append(partial(glasses_device, faults, bench.axis.clock, folder, tcp=tcp))
+    for make in makers:
+        device = make()
         cleanup.callback(device.line.unplug)
-    return {device.name: device for device in devices}
+        rack[device.name] = device
+    return rack
 
 
 def stage_device(bench: Bench, faults: Faults, folder: Path, *, tcp: bool) -> Device:
@@ -107,19 +120,64 @@ def stage_device(bench: Bench, faults: Faults, folder: Path, *, tcp: bool) -> De
     kind, power = stage_kind(bench.spec.stage.z.driver), PowerSwitch(bench.twin)
     feed = FaultyTwin(power.feed, faults, "z").feed
     line = SerialLine(feed, bench.spec.stage.z.baud, bench.axis.clock, link=folder / "z.port", misheard=kind.misheard)
-    faults.when_changed("z.stall", lambda z_um: _stall(bench.axis, z_um))
+    faults.when_changed("z.stall", partial(_stall, bench.axis))
     faults.when_changed("z.limit", _Limit(bench.axis))
     pulse = bench.twin.ttl_in if isinstance(bench.twin, Triggered) else None
     return Device("z", line.tcp_url if tcp else line.port, line, power, pulse)
 
 
-def _stall(axis: Axis, z_um: float | None) -> None:
+def feed_device(spec: FeedSpec, faults: Faults, clock: Clock, folder: Path) -> Device:
+    """Put the drive of a microtome, and its knife, on a line.
+
+    Raises
+    ------
+    RigError
+        The register map is no shipped one, and so has no twin.
+    """
+    from sim.feed_line import DRIVES, build_feed_twin  # noqa: PLC0415  a bench without a microtome does without
+
+    link = spec.feed_profile().link
+    if spec.feed_profile().profile not in DRIVES:
+        raise RigError(f"no simulated feed for the profile '{spec.profile}'{did_you_mean(spec.profile, list(DRIVES))}")
+    twin = build_feed_twin(spec, clock)
+    power = PowerSwitch(twin)
+    line = SerialLine(
+        FaultyTwin(power.feed, faults, "feed").feed, link.baud, clock, link=folder / "feed.port", misheard=b""
+    )
+    machine, knife = twin.machine, twin.plc.knife
+    faults.when_changed("feed.stall", partial(_stall, machine.axis))
+    faults.when_changed("feed.alarm", lambda fault: setattr(machine, "trip_at_um", _number(fault)))
+    faults.when_changed("feed.jam", lambda fault: setattr(knife, "jam", fault is not None))
+    faults.when_changed("feed.uncounted", lambda fault: setattr(knife, "counter_dead", fault is not None))
+    port = line.port if link.kind == "rtu" else line.tcp_url.removeprefix("socket://")
+    return Device("feed", port, line, power, counters=twin.counters)
+
+
+def glasses_device(faults: Faults, clock: Clock, folder: Path, *, tcp: bool) -> Device:
+    """Put the emitter of shutter glasses on its line."""
+    from sim.controllers.open3d import Emitter  # noqa: PLC0415
+
+    twin = Emitter(clock)
+    power = PowerSwitch(twin)
+    feed = FaultyTwin(power.feed, faults, "glasses").feed
+    line = SerialLine(feed, EMITTER_BAUD, clock, link=folder / "glasses.port", any_baud=True)
+    faults.when_changed("glasses.drift", lambda fault: twin.set_drift(_number(fault) or 0.0))
+    port = line.tcp_url if tcp else line.port
+    return Device("glasses", port, line, power, counters=lambda: {"edges": len(twin.edges()), "saves": twin.saves})
+
+
+def _stall(axis: Axis, fault: Fault | None) -> None:
     """Put something in the way; what was in the way of a move ends that move where it is when it is taken out."""
+    z_um = _number(fault)
     if z_um is not None:
         axis.obstruct(z_um)
     elif axis.travel != ENDLESS:
         axis.travel = ENDLESS
         axis.halt()
+
+
+def _number(fault: Fault | None) -> float | None:
+    return None if fault is None else fault.when
 
 
 class _Limit:
@@ -129,8 +187,8 @@ class _Limit:
         self._axis = axis
         self._without = axis.limits
 
-    def __call__(self, z_um: float | None) -> None:
-        before = self._without
+    def __call__(self, fault: Fault | None) -> None:
+        before, z_um = self._without, _number(fault)
         if z_um is None:
             self._axis.limits = before
         elif z_um > self._axis.encoder_um():

@@ -43,18 +43,19 @@ class Channel(Protocol):
 
 
 class PtyChannel:
-    """The master's end of a pseudo-terminal; ``path`` is what a client opens.
+    """The master's end of a pseudo-terminal; ``path`` is what a client opens; its baud counts unless ``any_baud``.
 
     Our own hold on the slave keeps the terminal alive while no client has it open. Both ends are raw: a fresh
     terminal would echo, and turn CR into LF. The thread that reads closes; others ask it to by `hang_up`.
     """
 
-    def __init__(self, baud: int) -> None:
+    def __init__(self, baud: int, *, any_baud: bool = False) -> None:
         import termios  # noqa: PLC0415  there are no terminals on Windows
         import tty  # noqa: PLC0415
 
         self._bauds = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[1:].isdigit()}
         self._tcgetattr = termios.tcgetattr
+        self._any_baud = any_baud
         self._master, self._slave = os.openpty()
         self._woken, self._waker = os.pipe()
         self.path = os.ttyname(self._slave)
@@ -75,8 +76,8 @@ class PtyChannel:
             data = data[os.write(self._master, data) :]
 
     def client_baud(self) -> int | None:
-        """Return the speed the slave is set to; None for one without a name."""
-        return self._bauds.get(self._tcgetattr(self._slave)[OSPEED])
+        """Return the speed the slave is set to; None for one without a name, or if it does not matter."""
+        return None if self._any_baud else self._bauds.get(self._tcgetattr(self._slave)[OSPEED])
 
     def hang_up(self) -> None:
         """Let the reader stop, from any thread."""
@@ -160,6 +161,8 @@ class SerialLine:
         Where a link to the pseudo-terminal is kept: a name that stays when the line is plugged in again.
     misheard : bytes
         What the controller says to bytes of another baud; nothing, if it is one that keeps silent.
+    any_baud : bool
+        Whatever baud the client sets is right: a USB device has no wire that would be paced by it.
     """
 
     def __init__(
@@ -170,12 +173,14 @@ class SerialLine:
         *,
         link: Path | None = None,
         misheard: bytes = MISHEARD,
+        any_baud: bool = False,
     ) -> None:
         self._feed = feed
         self._baud = baud
         self._clock = clock
         self._link = link
         self._misheard = misheard
+        self._any_baud = any_baud
         self._tcp_port = 0
         self._pty: PtyChannel | None = None
         self._listener: socket.socket | None = None
@@ -204,7 +209,7 @@ class SerialLine:
             self._tcp_port = self._listener.getsockname()[1]
             self._threads = [_thread(self._serve_tcp, self._listener)]
             if hasattr(os, "openpty"):
-                self._pty = PtyChannel(self._baud)
+                self._pty = PtyChannel(self._baud, any_baud=self._any_baud)
                 self.pty_path = self._named(self._pty.path)
                 self._threads.append(_thread(self._serve_pty, self._pty))
 

@@ -365,7 +365,8 @@ class ModbusFeed:
             )
 
     def _fresh_counts(self) -> int:
-        """Read the position; raises `FeedAstray` when it is not where the command before left it."""
+        """Read the position; raises `FeedAstray` when it is not where the command before left it, or counts anew."""
+        self._check_reference_kept()
         here = self._drive.counts()
         if self._expected is not None and abs(here - self._expected) > ARRIVED_COUNTS:
             self._cycle.enter(S.UNKNOWN)
@@ -376,6 +377,17 @@ class ModbusFeed:
                 fix="home it, then compare the depth with the last section.",
             )
         return here
+
+    def _check_reference_kept(self) -> None:
+        """Ask a drive that can tell: one that was off counts anew, and may by chance say the number expected."""
+        if self._drive.status().homed is False:
+            self._referenced = False
+            self._cycle.enter(S.UNKNOWN)
+            raise FeedAstray(
+                "feed: the drive is not homed any more. Nothing was sent.",
+                why="Its power went off and on.",
+                fix="home it, then compare the depth with the last section.",
+            )
 
     def _set_drive_limits(self) -> None:
         limits = self._spec.limits

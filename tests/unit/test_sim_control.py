@@ -144,6 +144,7 @@ def test_faults_come_and_go_while_a_driver_is_at_work(sim_bench, small):
             stage.position_um()
         assert caught.value.code == "device-silent"
         bench.ask(do="fault", clear="z.silent")
+        stage.reconnect()
         assert stage.position_um() == 0.0
         bench.ask(do="fault", set="z.stall@5um")
         stage.move_to(20.0)

@@ -79,7 +79,7 @@ def test_garbled_keeps_its_end_and_nothing_else():
 def test_faults_of_the_mechanics_are_done_to_the_device_when_they_go_on_and_undone_when_they_go_off():
     done = []
     faults = Faults(parse_faults(["z.stall@-12.5um"]), SimClock())
-    faults.when_changed("z.stall", done.append)
+    faults.when_changed("z.stall", lambda fault: done.append(fault and fault.when))
     faults.switch_on(parse_fault("z.stall@3um"))
     assert faults.switch_off("z.stall")
     assert not faults.switch_off("z.stall")
@@ -122,6 +122,9 @@ def test_camera_faults_count_frames_alone():
         ("z.late@-3", "cannot be read"),
         ("camera.drop@2s", "cannot be read"),
         ("z.late@nan", "cannot be read"),
+        ("feed.jam@3", "write feed.jam (always)"),
+        ("glasses.drift", "write glasses.drift@Nppm"),
+        ("glasses.drift@100um", "cannot be read"),
     ],
 )
 def test_what_is_no_fault_is_refused_in_words(text, words):
