@@ -98,7 +98,8 @@ def tilted(data: Path) -> list[Row]:
     for method in ("area", "points"):
         found = elevation(*views, Geometry(tilted_pair(2 * half_deg), pixel_um), method=method)
         error = (found.elevation_um - on_left)[found.valid]
-        rows.append((f"tilted surface, {method}: rms error / relief", float(np.sqrt(np.mean(error**2))) / RELIEF_UM, "<= 0.01"))
+        rms_um = float(np.sqrt(np.mean(error**2)))
+        rows.append((f"tilted surface, {method}: rms error / relief", rms_um / RELIEF_UM, "<= 0.01"))
         rows.append((f"tilted surface, {method}: share of pixels known", float(found.valid.mean()), ""))
     return rows
 
