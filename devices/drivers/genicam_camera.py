@@ -368,7 +368,9 @@ def _chosen(found: list[Any], table: CameraSpec) -> str:
         return str(found[0].id_)
     ids = ", ".join(str(camera.id_) for camera in found) or "none"
     raise DeviceError(
-        f"camera: {table.source} has no camera {wanted}." if wanted else f"camera: {table.source} has {len(found)}.",
+        f"camera: {table.source} has no camera {wanted}."
+        if wanted
+        else f"camera: {table.source} has {len(found)} cameras.",
         why=f"Cameras there now: {ids}.",
         fix="set address to the id of one of them, or check cable and power.",
         code="device-missing",

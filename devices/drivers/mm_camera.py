@@ -305,7 +305,7 @@ def _loaded_core(table: CameraSpec) -> Any:
     core.setDeviceAdapterSearchPaths([str(folder)])
     try:
         sdk.call(lambda: _load(core, table), doing="opening the camera", timeout_s=OPEN_S)
-    except RuntimeError as cause:
+    except (RuntimeError, ValueError) as cause:
         raise DeviceError(
             f"camera: Micro-Manager cannot open {table.source} {table.address or ''}".rstrip() + ".",
             why=str(cause),
