@@ -126,6 +126,10 @@ class PortDied(Exception):
     """The device is gone: its ports close."""
 
 
+class HungUp(PortDied):
+    """The device ends this connection, and takes the next."""
+
+
 @dataclass(frozen=True)
 class Delayed:
     """A reply, and how long it is kept back."""

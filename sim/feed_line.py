@@ -15,7 +15,7 @@ from sim.controllers.leadshine import LeadshineRs
 from sim.controllers.modbus_frame import RtuServer, TcpServer, written
 from sim.controllers.oriental import OrientalAz
 from sim.controllers.plc import PlcMailbox
-from sim.faults import Delayed, PortDied
+from sim.faults import Delayed, HungUp, PortDied
 from sim.feed import FeedMachine
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ class FeedTwin:
         self._heard_s = clock.now()
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take bytes and return the replies of the drive; raises `PortDied` when it had hung up."""
+        """Take bytes and return the replies of the drive; raises `HungUp` after too long a silence."""
         return [reply.data for reply in self.feed_upset(data)]
 
     def feed_upset(self, data: bytes) -> list[Delayed]:
@@ -110,7 +110,7 @@ class FeedTwin:
         now_s, silence_s = self._clock.now(), self._clock.now() - self._heard_s
         self._heard_s = now_s
         if self._hangs_up and silence_s > IDLE_CLOSE_S:
-            raise PortDied
+            raise HungUp
         if silence_s > FRAME_GAP_S:
             self._server.forget()
         replies = [self._reply(unit, pdu) for unit, pdu in self._server.frames(data)]

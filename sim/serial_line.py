@@ -10,7 +10,7 @@ import threading
 from bisect import bisect_right
 from typing import TYPE_CHECKING, Protocol
 
-from sim.faults import PortDied
+from sim.faults import HungUp, PortDied
 from sim.uart import as_heard, byte_times_s
 
 if TYPE_CHECKING:
@@ -255,6 +255,8 @@ class SerialLine:
     def _converse(self, channel: Channel) -> None:
         try:
             converse(channel, self._feed, self._baud, self._clock, misheard=self._misheard)
+        except HungUp:
+            return
         except PortDied:
             self.unplug()
 

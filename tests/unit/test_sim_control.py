@@ -23,9 +23,10 @@ from devices.values import Limits
 from sim.bench_folder import LOCK, bench_folder
 from sim.clock import SimClock
 from sim.control import Control
-from sim.faults import Faults
+from sim.faults import Delayed, Faults, HungUp
 from sim.motion import Axis
 from sim.rack import Device, PowerSwitch
+from sim.serial_line import SerialLine
 from sim.stages import AsiTwin
 
 SMALL = """schema = 1
@@ -172,6 +173,27 @@ def test_a_port_that_is_pulled_and_put_back_has_the_same_name(sim_bench, small, 
     bench.ask(do="replug", device="z")  # it is in already
     with open_stage(bench) as stage:
         assert stage.position_um() == pytest.approx(12.0, abs=0.1), "the power was on all the time"
+
+
+def test_a_device_that_hangs_up_takes_the_next_connection():
+    answers = iter([[Delayed(b"1")], HungUp(), [Delayed(b"2")]])
+
+    def feed(data):
+        answer = next(answers)
+        if isinstance(answer, HungUp):
+            raise answer
+        return answer
+
+    with contextlib.closing(SerialLine(feed, 115200, SystemClock())) as line:
+        with serial.serial_for_url(line.tcp_url, timeout=5) as first:
+            first.write(b"x")
+            assert first.read(1) == b"1"
+            first.write(b"x")
+            with pytest.raises(serial.SerialException):
+                first.read(1)
+        with serial.serial_for_url(line.tcp_url, timeout=5) as second:
+            second.write(b"x")
+            assert second.read(1) == b"2"
 
 
 def test_pulses_reach_the_ttl_input(sim_bench, small):
