@@ -1,0 +1,258 @@
+"""Fiducial marks: holes, threads or dots that run straight through the specimen, found, fitted, used as absolutes."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from devices.errors import InputError
+from processing.align_models import applied, fitted
+from processing.align_pair import grey
+from processing.align_solve import Row
+from processing.readers import reading
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from processing.align_models import Model
+    from processing.registration import Planes
+
+    Array = NDArray[Any]
+
+COLUMNS = ("section", "mark", "x_px", "y_px")
+KNOWN = "known"
+FEWEST: dict[str, int] = {"translation": 1, "rigid": 2, "similarity": 2, "uniaxial": 3, "affine": 3}
+MARK_SIGMAS_PX = (2.0, 3.0, 4.5, 7.0)
+CANDIDATES = 40
+STANDS_OUT = 8.0  # times the usual response of the spot filter
+STEADY = 0.15  # variation of contrast and size of one mark from section to section
+PRESENT = 0.8  # of the sections must show a mark
+SEARCH_PX = 12  # around where a mark is expected
+FIT_STEPS = 25
+MARK_ERROR_PX = 0.1  # assumed of places from a table
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Places of marks.
+
+    Attributes
+    ----------
+    places : array (sections, marks, 2) float64
+        As (x, y) in pixels; NaN where a mark was not seen.
+    known : array (marks, 2) float64
+        True places in the output; NaN where they are to be taken from the reference section.
+    error_px : float
+        Of one place.
+    """
+
+    places: Array
+    known: Array
+    error_px: float
+
+    def targets(self, reference: int) -> Array:
+        """Return where marks belong in the output: their known places, else those in the reference section."""
+        return np.where(np.isfinite(self.known), self.known, self.places[reference])
+
+    def rows(self, model: Model, reference: int) -> list[Row]:
+        """Return the maps of all sections that show enough marks, as absolute rows for the solution.
+
+        Raises
+        ------
+        InputError
+            ``align-marks``: no section but the reference shows enough marks.
+        """
+        target, rows = self.targets(reference), []
+        for k, seen in enumerate(self.places):
+            both = np.isfinite(seen).all(axis=1) & np.isfinite(target).all(axis=1)
+            if both.sum() >= FEWEST[model]:
+                error = self.error_px * float(np.sqrt(FEWEST[model] / both.sum()))
+                rows.append(Row(None, k, fitted(model, target[both], seen[both]), 1.0, error))
+        if len(rows) < 2:
+            raise InputError(
+                f"fewer than two sections show {FEWEST[model]} marks, which {model} maps need.",
+                fix=("give more marks", "take a model with fewer parameters: --model rigid"),
+                code="align-marks",
+            )
+        return rows
+
+    def words(self) -> str:
+        """Return what was used."""
+        sections, marks = np.nonzero(np.isfinite(self.places[:, :, 0]))
+        return f"{np.unique(marks).size} marks, seen in {np.unique(sections).size} sections, fix the alignment."
+
+
+def read_marks(path: Path, sections: Planes) -> Marks:
+    """Read a table of marks: CSV with columns section, mark, x_px, y_px.
+
+    Raises
+    ------
+    InputError
+        ``align-marks``: a column is missing, a value is no number, or a section is not there.
+    """
+    with reading(path), path.open(newline="", encoding="utf-8") as file:
+        lines = list(csv.DictReader(file))
+    missing = [name for name in COLUMNS if not lines or name not in lines[0]]
+    if missing:
+        raise _bad_table(path, f"it has no column {', '.join(missing)}" if lines else "it is empty")
+    names = sorted({line["mark"] for line in lines})
+    places = np.full((len(sections) + 1, len(names), 2), np.nan)
+    for number, line in enumerate(lines, start=2):
+        row, place = _place(path, number, line, len(sections))
+        places[row, names.index(line["mark"])] = place
+    return Marks(places[:-1], places[-1], MARK_ERROR_PX)
+
+
+def _place(path: Path, number: int, line: dict[str, str], count: int) -> tuple[int, tuple[float, float]]:
+    try:
+        section = count if line["section"] == KNOWN else int(line["section"])
+        place = float(line["x_px"]), float(line["y_px"])
+    except (TypeError, ValueError):
+        raise _bad_table(path, f"line {number} has a value that is no number") from None
+    if not 0 <= section <= count or (section == count and line["section"] != KNOWN) or not np.isfinite(place).all():
+        raise _bad_table(path, f"line {number} names section {line['section']}; there are 0 … {count - 1}")
+    return section, place
+
+
+def _bad_table(path: Path, why: str) -> InputError:
+    return InputError(
+        f"{path} is no table of marks: {why}.",
+        fix=f"give CSV with the columns {', '.join(COLUMNS)}; sections are counted from 0, or called {KNOWN}.",
+        code="align-marks",
+    )
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A round mark: place in pixels, contrast against its surroundings (negative when dark), radius (σ), misfit."""
+
+    x: float
+    y: float
+    contrast: float
+    sigma: float
+    misfit: float
+
+
+def fit_spot(picture: Array, x: float, y: float, sigma: float) -> Spot | None:
+    """Fit a round Gaussian spot on a flat ground by Gauss-Newton; None when it runs away.
+
+    Parameters
+    ----------
+    picture : array (h, w) float32
+        Grey.
+    x, y, sigma : float
+        Roughly where it is and how large, in pixels.
+    """
+    reach = int(np.ceil(3 * sigma))
+    x0, y0 = round(x) - reach, round(y) - reach
+    part = picture[max(y0, 0) : y0 + 2 * reach + 1, max(x0, 0) : x0 + 2 * reach + 1]
+    if part.shape != (2 * reach + 1, 2 * reach + 1):
+        return None
+    yy, xx = np.mgrid[y0 : y0 + 2 * reach + 1, x0 : x0 + 2 * reach + 1].astype(np.float64)
+    found = np.array([x, y, sigma, 0.0, 0.0])
+    for _ in range(FIT_STEPS):
+        step, linear, misfit = _spot_step(part, xx, yy, found)
+        found[:3] += np.clip(step, -1, 1)
+        if np.abs(found[:2] - (x, y)).max() > reach or not 0.5 < found[2] < 2 * sigma:
+            return None
+        if np.abs(step).max() < 1e-4:
+            break
+    return Spot(float(found[0]), float(found[1]), float(linear[0]), float(found[2]), misfit)
+
+
+def _spot_step(part: Array, xx: Array, yy: Array, found: Array) -> tuple[Array, Array, float]:
+    """Contrast and ground by least squares, then one step of place and size (variable projection)."""
+    dx, dy, sigma = xx - found[0], yy - found[1], found[2]
+    shape = np.exp(-(((dx**2 + dy**2) / (2 * sigma**2)) ** 2))  # a disc with a soft rim: marks are holes
+    ground = np.stack([shape.ravel(), np.ones(shape.size)], axis=1)
+    linear, *_ = np.linalg.lstsq(ground, part.ravel(), rcond=None)
+    rest = part - linear[0] * shape - linear[1]
+    squared = (dx**2 + dy**2) / (2 * sigma**2)
+    slope = linear[0] * shape * 2 * squared
+    columns = np.stack([slope * dx / sigma**2, slope * dy / sigma**2, slope * 2 * squared / sigma], axis=-1)
+    columns = np.column_stack([columns.reshape(-1, 3), ground])
+    step = np.linalg.lstsq(columns, rest.ravel(), rcond=1e-9)[0][:3]
+    return step, linear, float(np.sqrt((rest**2).mean()) / max(abs(linear[0]), 1e-9))
+
+
+def spots(picture: Array) -> list[Spot]:
+    """Find round spots that stand out from everything else in a grey picture, strongest first."""
+    found: list[tuple[float, Spot]] = []
+    for sigma in MARK_SIGMAS_PX:
+        response = cv2.GaussianBlur(picture, (0, 0), sigma) - cv2.GaussianBlur(picture, (0, 0), 1.6 * sigma)
+        strength = np.abs(response)
+        usual = 1.4826 * float(np.median(strength)) + 1e-9
+        peaks = (strength == cv2.dilate(strength, np.ones((9, 9)))) & (strength > STANDS_OUT * usual)
+        for y, x in np.argwhere(peaks):
+            if (spot := fit_spot(picture, float(x), float(y), 1.3 * sigma)) is not None:
+                found.append((abs(spot.contrast), spot))
+    return _separate(sorted(found, key=lambda pair: -pair[0]))
+
+
+def _separate(found: Sequence[tuple[float, Spot]]) -> list[Spot]:
+    kept: list[Spot] = []
+    for _, spot in found:
+        if all(np.hypot(spot.x - k.x, spot.y - k.y) > 2 * k.sigma for k in kept):
+            kept.append(spot)
+    return kept[:CANDIDATES]
+
+
+def find_marks(sections: Planes, matrices: Array, reference: int) -> Marks:
+    """Find marks that look the same in all sections, starting from where pairs place them.
+
+    Parameters
+    ----------
+    sections : sequence of array
+        Grey or RGB.
+    matrices : array (sections, 3, 3)
+        From the reference section to each section, right to `SEARCH_PX`.
+    reference : int
+        Where marks are looked for first.
+
+    Raises
+    ------
+    InputError
+        ``align-marks``: fewer than three such marks.
+    """
+    candidates = spots(grey(sections[reference]))
+    followed = [[_followed(grey(sections[k]), s, matrices[k]) for s in candidates] for k in range(len(sections))]
+    steady = [m for m in range(len(candidates)) if _is_mark([row[m] for row in followed])]
+    if len(steady) < FEWEST["affine"]:
+        raise InputError(
+            f"{len(steady)} fiducial marks were found, of {len(candidates)} spots in section {reference}; "
+            f"{FEWEST['affine']} are needed.",
+            why="A mark is a round spot of steady size and contrast, seen in four of five sections and more.",
+            fix=("give their places: --fiducials marks.csv", "leave out --fiducials"),
+            code="align-marks",
+        )
+    places = [[(s.x, s.y) if (s := row[m]) is not None else (np.nan, np.nan) for m in steady] for row in followed]
+    return Marks(np.array(places), np.full((len(steady), 2), np.nan), MARK_ERROR_PX)
+
+
+def _followed(picture: Array, mark: Spot, matrix: Array) -> Spot | None:
+    """Find a mark near its expected place: the extreme of the blurred picture, then the fit."""
+    expected = applied(matrix, np.array([[mark.x, mark.y]]))[0]
+    x0, y0 = (round(float(c)) - SEARCH_PX for c in expected)
+    if min(x0, y0) < 0:
+        return None
+    side = 2 * SEARCH_PX + 1
+    blurred = cv2.GaussianBlur(picture, (0, 0), mark.sigma / 1.5)[y0 : y0 + side, x0 : x0 + side]
+    if blurred.shape != (side, side):
+        return None
+    y, x = np.unravel_index(int((blurred * np.sign(mark.contrast)).argmax()), blurred.shape)
+    return fit_spot(picture, float(x0 + x), float(y0 + y), mark.sigma)
+
+
+def _is_mark(seen: Sequence[Spot | None]) -> bool:
+    there = [spot for spot in seen if spot is not None]
+    if len(there) < PRESENT * len(seen):
+        return False
+    contrast, sigma = (np.array([getattr(s, name) for s in there]) for name in ("contrast", "sigma"))
+    return all(float(np.median(np.abs(v / np.median(v) - 1))) < STEADY for v in (contrast, sigma))
