@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from acquire.frame import FrameHeader, Missed
 from acquire.sequence import TriggeredStack
 from acquire.store import RunEnd
-from devices.errors import CameraTimeout, DeviceError, LinkLost, StageStalled, StereotomeError
+from devices.errors import CameraTimeout, DeviceError, Halted, LinkLost, StageStalled, StereotomeError
 from devices.protocols import HandControls
 from devices.values import to_nm, to_um
 
@@ -367,8 +367,8 @@ class Run:
         self._plane = plane.index
         try:
             self._take(plane)
-        except (CameraTimeout, StageStalled) as error:
-            self._checkpoint()  # a halted move ends as a stall: that was the operator, not a fault
+        except (CameraTimeout, Halted, StageStalled) as error:
+            self._checkpoint()  # a halted move ends as a stall, or is not sent: that was the operator, not a fault
             if not self._policy.gap_on_error:
                 raise
             missed = Missed(plane.index, error.code)

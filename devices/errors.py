@@ -122,6 +122,12 @@ class Refused(DeviceError):
         self.reason = reason
 
 
+class Halted(DeviceError):
+    """A halt came before the move; it was not sent."""
+
+    code = "device-halted"
+
+
 class StageStalled(DeviceError):
     """The stage stopped making progress before it arrived."""
 

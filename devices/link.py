@@ -6,7 +6,7 @@ import logging
 from threading import Lock
 from typing import TYPE_CHECKING, TypeVar
 
-from devices.errors import DeviceError, LinkError, LinkLost, NoReply
+from devices.errors import DeviceError, Halted, LinkError, LinkLost, NoReply
 from devices.wire.exchange import until
 
 if TYPE_CHECKING:
@@ -189,7 +189,7 @@ class Link:
                 code="position-unknown",
             )
         if request.moves and self._interruptions != wished:
-            raise DeviceError(f"{self.name}: a halt came before the move. Nothing was sent.", code="device-halted")
+            raise Halted(f"{self.name}: a halt came before the move. Nothing was sent.")
         if self._lost is not None:
             raise LinkLost(self._lost.what, why=self._lost.why, fix=self._lost.fix)
 

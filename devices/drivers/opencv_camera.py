@@ -105,7 +105,7 @@ class OpenCvCamera:
     def _deliver(self, frames: int | None, sink: FrameSink) -> None:
         number = 0
         while not self._ending.is_set() and number != frames:
-            found, pixels = self._capture.read()
+            found, pixels = self._read()
             arrival_ns = int(self._clock.now() * 1e9)
             if not found:
                 self._failure = _gone(self._spec, number)
@@ -115,8 +115,14 @@ class OpenCvCamera:
             if self._recorded:
                 self._clock.sleep(self._exposure_s)
 
+    def _read(self) -> tuple[bool, np.ndarray]:
+        try:
+            return self._capture.read()
+        except cv2.error:  # a frame that does not decode: as good as none
+            return False, np.empty(0)
+
     def _caps_of_first_frame(self) -> CameraCaps:
-        found, pixels = self._capture.read()
+        found, pixels = self._read()
         if not found:
             raise DeviceError(f"camera: {self._spec.source} opens, but gives no frame.", code="device-silent")
         if self._recorded:
