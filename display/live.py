@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import tifffile
 
 from acquire.store import open_run
-from display.stereo import anaglyph, comfortable_pixel, stereo_pair
+from display.compose import compose
+from display.shifted import comfortable_pixel, stereo_pair
 from processing import live
 from processing.outputs import write_durably
 from processing.pictures import captioned, png_bytes, preview
@@ -53,7 +54,7 @@ def write_stereo(
     pictures = {
         "stereo_left.png": pair.left,
         "stereo_right.png": pair.right,
-        "anaglyph.png": captioned(anaglyph(pair.left, pair.right, method="grey"), words),
+        "anaglyph.png": captioned(compose(pair.left, pair.right, "anaglyph-grey"), words),
     }
     for name, picture in pictures.items():
         write_durably(folder / name, png_bytes(picture))

@@ -1,124 +1,178 @@
-"""Stereo pairs from a picture and its range image by shift of planes, and anaglyphs of them. Pure functions.
+"""What makes a picture stereoscopic: which two views, how far apart, how they are shown. Plain values, pure functions.
 
-For a symmetric tilt by ``angle`` a point at height z above the middle plane is seen with the parallax
-p = 2 z sin(angle/2) / pixel; half of it is given to each eye, along x, so that the middle plane lies in the screen and
-nothing is foreshortened. Points with p > 0 stand before the screen: the left eye sees them further right.
+The camera looks along -z of view space; the plane at z = -distance lies in the screen. Moving an eye by e/2 to its side
+while its frustum keeps that plane in place is, for parallel and for perspective projection alike, the shear
+x' = x ± (z + distance) tan(V/2) before the projection, V = 2 atan(e / 2 distance) being the vergence: the shift of
+planes and the off-axis frustum are one. There is no vertical parallax and nothing is foreshortened. Turning the
+specimen by ±V/2 instead is what a tilting stage does; it is offered for comparison with such pairs.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from devices.errors import DisplayError
-from processing.focus_kernels import compiled
+from devices.errors import DisplayError, did_you_mean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Array = NDArray[Any]
-    Picture = NDArray[np.uint8]
+    from devices.glasses_timing import Eye
 
-AnaglyphMethod = Literal["grey", "colour", "half-colour", "dubois"]
+    Matrix = NDArray[np.float64]
+
+Views = Literal["shift", "rotate"]
+Mode = Literal[
+    "mono",
+    "parallel",
+    "crossed",
+    "over-under",
+    "rows",
+    "columns",
+    "checkerboard",
+    "frame-packed",
+    "anaglyph-grey",
+    "anaglyph-colour",
+    "anaglyph-half-colour",
+    "anaglyph-dubois",
+    "anaglyph-dubois-lcd",
+    "anaglyph-optimised",
+    "anaglyph-green-magenta",
+    "anaglyph-amber-blue",
+    "anaglyph-red-green",
+    "anaglyph-red-blue",
+    "page-flip",
+]
+MODES: tuple[str, ...] = get_args(Mode)
 
 WIDEST_ANGLE_DEG = 60.0
 UNEASY_ANGLE_DEG = 10.0  # eyes hardly fuse views that differ by more
 COMFORTABLE_SHARE = 1 / 30  # largest parallax on a screen, as a share of the picture's width
-EXTREMES_PERCENT = (1, 99)  # single wild pixels do not move the middle plane
 ROUNDING = 1e-3
-TEAR_PX = 1.0  # neighbours that part by more belong to different surfaces
-
-LUMINANCE = np.array([0.299, 0.587, 0.114])  # of colours as encoded, ITU-R BT.601
-# Least-squares projection for red/cyan glasses, rows: R, G, B seen; columns: left R, G, B, right R, G, B; linear light.
-# Sanders and McAllister 2003 after Dubois 2001 (Proc. IEEE ICASSP, "A projection method to generate anaglyph stereo").
-DUBOIS = np.array(
-    [
-        [0.4561, 0.5005, 0.1764, -0.0435, -0.0879, -0.0016],
-        [-0.0401, -0.0378, -0.0158, 0.3785, 0.7336, -0.0185],
-        [-0.0152, -0.0206, -0.0055, -0.0722, -0.1130, 1.2264],
-    ]
-)
 
 
-@dataclass(frozen=True)
-class StereoPair:
-    """Two views of one picture.
-
-    Attributes
-    ----------
-    left, right : array like the picture
-        What each eye sees.
-    filled_left, filled_right : array (height, width) bool
-        Pixels that the picture says nothing about: hidden behind something nearer, filled from the farther side.
-    parallax_px : (float, float)
-        Smallest and largest parallax; positive stands before the screen.
-    warnings : tuple of str
-        What makes the pair hard to look at.
-    """
-
-    left: Array
-    right: Array
-    filled_left: NDArray[np.bool_]
-    filled_right: NDArray[np.bool_]
-    parallax_px: tuple[float, float]
-    warnings: tuple[str, ...]
-
-
-def stereo_pair(
-    image: Array, range_um: Array, *, pixel_um: float, angle_deg: float = 8.0, depth_scale: float = 1.0
-) -> StereoPair:
-    """Make the two views of a relief under a symmetric tilt.
-
-    Parameters
-    ----------
-    image : array (height, width) or (height, width, 3), uint8 or uint16
-        What the surface looks like.
-    range_um : array (height, width)
-        Height of the surface; larger is nearer to the eyes. For a range in planes give ``pixel_um`` in planes, too, or
-        see `comfortable_pixel`.
-    pixel_um : float
-        Size of a pixel, same unit as the range.
-    angle_deg : float
-        Angle between the two views, 0 to 60.
-    depth_scale : float
-        Stretches depth; negative makes larger ranges farther.
+def vergence_deg(interocular_mm: float, distance_mm: float) -> float:
+    """Return the angle between the lines of sight of two eyes that look at one point: 75 mm at 1 m make 4.3°.
 
     Raises
     ------
     DisplayError
-        Shapes that do not fit, or numbers that make no sense.
+        A length that is not positive.
     """
-    parallax = tilt_parallax_px(range_um, pixel_um=pixel_um, angle_deg=angle_deg, depth_scale=depth_scale)
-    return shifted_views(image, parallax, warnings=angle_warnings(angle_deg))
-
-
-def tilt_parallax_px(
-    range_um: Array, *, pixel_um: float, angle_deg: float, depth_scale: float = 1.0
-) -> NDArray[np.float32]:
-    """Return p = 2 z sin(angle/2) / pixel for every pixel, z from the plane midway between the extremes."""
-    if not (np.isfinite(pixel_um) and pixel_um > 0 and np.isfinite(depth_scale) and 0 <= angle_deg <= WIDEST_ANGLE_DEG):
+    if not (math.isfinite(distance_mm) and math.isfinite(interocular_mm) and distance_mm > 0 <= interocular_mm):
         raise DisplayError(
-            f"no stereo pair with a pixel of {pixel_um:g} µm, {angle_deg:g}° and depth × {depth_scale:g}.",
-            fix=f"give a positive pixel size and an angle from 0 to {WIDEST_ANGLE_DEG:g}°.",
+            f"no vergence of eyes {interocular_mm:g} mm apart at {distance_mm:g} mm.", fix="give lengths in mm."
         )
-    if not np.isfinite(range_um).all():
-        raise DisplayError("the range image has pixels that are not numbers.", fix="fill them before making views.")
-    per_um = 2 * np.sin(np.radians(angle_deg) / 2) / pixel_um * depth_scale
-    return np.asarray((range_um - middle_plane(range_um)) * per_um, np.float32)
+    return math.degrees(2 * math.atan2(interocular_mm / 2, distance_mm))
 
 
-def middle_plane(range_um: Array) -> float:
-    """Return the height midway between the lowest and highest percent of the surface."""
-    return float(np.mean(np.percentile(range_um, EXTREMES_PERCENT)))
+@dataclass(frozen=True)
+class Stereo:
+    """How two eyes see a scene.
+
+    Attributes
+    ----------
+    mode : str
+        One of `MODES`; ``mono`` draws one view from between the eyes.
+    views : {"shift", "rotate"}
+        The eyes move and the screen stays (shift of planes, off-axis frusta), or the specimen turns.
+    vergence_deg : float
+        Angle between the two lines of sight, 0 to 60; see `vergence_deg`.
+    depth : float
+        Stretches depth about the plane of the screen; negative turns relief inside out.
+    swap : bool
+        Exchange the eyes.
+
+    Raises
+    ------
+    DisplayError
+        Values that make no sense.
+    """
+
+    mode: Mode = "mono"
+    views: Views = "shift"
+    vergence_deg: float = vergence_deg(75.0, 1000.0)
+    depth: float = 1.0
+    swap: bool = False
+
+    def __post_init__(self) -> None:
+        if self.mode not in MODES:
+            raise DisplayError(f"stereo: no mode '{self.mode}'{did_you_mean(self.mode, list(MODES))}.")
+        if self.views not in get_args(Views):
+            raise DisplayError(f"stereo: no views '{self.views}'{did_you_mean(self.views, list(get_args(Views)))}.")
+        if not (0 <= self.vergence_deg <= WIDEST_ANGLE_DEG and math.isfinite(self.depth)):
+            raise DisplayError(
+                f"stereo: no two views {self.vergence_deg:g}° apart with depth × {self.depth:g}.",
+                fix=f"choose an angle from 0 to {WIDEST_ANGLE_DEG:g}°, and a number for depth.",
+            )
+
+    @property
+    def eyes(self) -> tuple[Eye | None, ...]:
+        """Whose views have to be drawn, left first; None is the view from between the eyes."""
+        return (None,) if self.mode == "mono" else ("left", "right")
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What makes every picture of these eyes hard to look at."""
+        return () if self.mode == "mono" else angle_warnings(self.vergence_deg)
 
 
-def comfortable_pixel(range_: Array, *, angle_deg: float = 8.0) -> float:
-    """Return the pixel size that gives the largest comfortable parallax, for ranges without a unit."""
-    low, high = np.percentile(range_, EXTREMES_PERCENT)
-    widest_px = COMFORTABLE_SHARE * range_.shape[1]
-    return float(max(high - low, 1e-6) * np.sin(np.radians(angle_deg) / 2) / widest_px)
+def eye_matrix(stereo: Stereo, eye: Eye | None, distance: float) -> Matrix:
+    """Return what an eye does to view space, as a matrix to stand between view and projection.
+
+    Parameters
+    ----------
+    stereo : Stereo
+        How the eyes see.
+    eye : {"left", "right"} or None
+        Whose; None is the view from between the eyes, in which depth alone is stretched.
+    distance : float
+        From the camera to the plane that lies in the screen, in units of view space.
+
+    Returns
+    -------
+    array (4, 4)
+        Works on columns (x, y, z, 1).
+    """
+    side = {"left": 1.0, "right": -1.0, None: 0.0}[eye]
+    half = math.radians(stereo.vergence_deg) / 2 * side
+    turned = _sheared(math.tan(half)) if stereo.views == "shift" else _turned(half)
+    stretched = np.diag([1.0, 1.0, stereo.depth, 1.0])
+    return _moved(-distance) @ turned @ stretched @ _moved(distance)
+
+
+def _moved(z: float) -> Matrix:
+    matrix = np.eye(4)
+    matrix[2, 3] = z
+    return matrix
+
+
+def _sheared(slope: float) -> Matrix:
+    matrix = np.eye(4)
+    matrix[0, 2] = slope
+    return matrix
+
+
+def _turned(angle: float) -> Matrix:
+    matrix = np.eye(4)
+    matrix[0, [0, 2]] = math.cos(angle), math.sin(angle)
+    matrix[2, [0, 2]] = -math.sin(angle), math.cos(angle)
+    return matrix
+
+
+def plane_shifts(positions_um: NDArray[np.float64], pixel_um: float, vergence_deg: float, eye: Eye) -> Matrix:
+    """Return by how many pixels each plane is shifted to the right for an eye that looks down on a stack.
+
+    Parameters
+    ----------
+    positions_um : array (planes,)
+        Depth of each plane, larger nearer to the eyes; the plane at 0 lies in the screen.
+    """
+    side = 1.0 if eye == "left" else -1.0
+    return positions_um * (side * math.tan(math.radians(vergence_deg) / 2) / pixel_um)
 
 
 def angle_warnings(angle_deg: float) -> tuple[str, ...]:
@@ -128,150 +182,11 @@ def angle_warnings(angle_deg: float) -> tuple[str, ...]:
     return (f"views {angle_deg:g}° apart are hard to fuse; up to {UNEASY_ANGLE_DEG:g}° is easy.",)
 
 
-def parallax_warnings(parallax_px: Array) -> tuple[str, ...]:
-    """Return a warning if more than single pixels have a parallax wider than 1/30 of the picture."""
-    comfortable = COMFORTABLE_SHARE * parallax_px.shape[1]
-    widest = float(np.abs(np.percentile(parallax_px, EXTREMES_PERCENT)).max())
-    if widest <= comfortable * (1 + ROUNDING):
+def parallax_warnings(widest_px: float, width_px: int) -> tuple[str, ...]:
+    """Return a warning if a parallax is wider than 1/30 of the picture."""
+    comfortable = COMFORTABLE_SHARE * width_px
+    if abs(widest_px) <= comfortable * (1 + ROUNDING):
         return ()
-    return (f"parallax reaches {widest:.1f} px; more than {comfortable:.1f} px (1/30 of the width) tires the eyes.",)
-
-
-def shifted_views(image: Array, parallax_px: NDArray[np.float32], *, warnings: tuple[str, ...] = ()) -> StereoPair:
-    """Shift every pixel by half its parallax, to the right for the left eye and to the left for the right eye.
-
-    Near covers far. Pixels between neighbours of one surface are interpolated; where the surface is torn open, the
-    farther side is continued, and the pixels are marked.
-
-    Parameters
-    ----------
-    image : array (height, width) or (height, width, 3)
-        uint8 or uint16.
-    parallax_px : array (height, width) float32
-        Positive for what stands before the screen.
-
-    Raises
-    ------
-    DisplayError
-        The sizes differ.
-    """
-    if image.shape[:2] != parallax_px.shape:
-        raise DisplayError(
-            f"the picture is {image.shape[:2]}, the range image {parallax_px.shape}.", fix="give a pair."
-        )
-    left, filled_left = _view(image, parallax_px, 0.5)
-    right, filled_right = _view(image, parallax_px, -0.5)
-    extremes = (float(parallax_px.min()), float(parallax_px.max()))
-    return StereoPair(left, right, filled_left, filled_right, extremes, warnings + parallax_warnings(parallax_px))
-
-
-def _view(image: Array, parallax_px: NDArray[np.float32], share: float) -> tuple[Array, NDArray[np.bool_]]:
-    height, width = parallax_px.shape
-    bands = np.ascontiguousarray(image).reshape(height, width, -1)
-    seen = np.zeros_like(bands)
-    filled = np.zeros((height, width), np.bool_)
-    nearness = np.empty(width, np.float32)
-    for row in range(height):
-        nearness[:] = -np.inf
-        paint_row(bands[row], parallax_px[row], share, seen[row], nearness)
-        fill_row(seen[row], nearness, filled[row])
-    return seen.reshape(image.shape), filled
-
-
-@compiled
-def paint_row(colours: Array, parallax: Array, share: float, seen: Array, nearness: Array) -> None:
-    """Draw one row of the surface as line segments between neighbours; where it is torn, each keeps its half pixel."""
-    last = parallax.size - 1
-    for x in range(-1, last + 1):
-        a, b = max(x, 0), min(x + 1, last)
-        start, end = a + share * parallax[a], b + share * parallax[b]
-        if a < b and 0 < end - start <= 1 + TEAR_PX:
-            paint_segment(colours, parallax, a, b, start, end, seen, nearness)
-        else:
-            paint_segment(colours, parallax, a, a, start, start + 0.5 * (x >= 0), seen, nearness)
-            paint_segment(colours, parallax, b, b, end - 0.5 * (x < last), end, seen, nearness)
-
-
-@compiled
-def paint_segment(
-    colours: Array, parallax: Array, a: int, b: int, start: float, end: float, seen: Array, nearness: Array
-) -> None:
-    """Draw from pixel ``a`` at ``start`` to pixel ``b`` at ``end`` wherever nothing nearer is; the later wins a tie."""
-    for t in range(max(int(np.ceil(start)), 0), min(int(np.floor(end)), parallax.size - 1) + 1):
-        part = (t - start) / (end - start) if b > a else 0.0
-        near = parallax[a] + part * (parallax[b] - parallax[a])
-        if near >= nearness[t]:
-            nearness[t] = near
-            for band in range(colours.shape[1]):
-                value = colours[a, band] + part * (float(colours[b, band]) - float(colours[a, band]))
-                seen[t, band] = int(value + 0.5)
-
-
-@compiled
-def fill_row(seen: Array, nearness: Array, filled: Array) -> None:
-    """Continue the farther neighbour into every gap of a row; at the border there is but one."""
-    width, t = nearness.size, 0
-    while t < width:
-        if nearness[t] > -np.inf:
-            t += 1
-            continue
-        end = t
-        while end < width and nearness[end] == -np.inf:
-            end += 1
-        from_left = end == width or (t > 0 and nearness[t - 1] <= nearness[end])
-        seen[t:end] = seen[t - 1] if from_left else seen[end]
-        filled[t:end] = True
-        t = end
-
-
-def anaglyph(left: Array, right: Array, method: AnaglyphMethod = "grey") -> Picture:
-    """Lay two views over each other for red/cyan glasses, red before the left eye.
-
-    Parameters
-    ----------
-    left, right : array (height, width) or (height, width, 3) uint8
-        What each eye sees.
-    method : {"grey", "colour", "half-colour", "dubois"}
-        Brightness alone; full colours, which rival where they are saturated; colours with a grey left eye; or the
-        least-squares projection computed in linear light.
-
-    Returns
-    -------
-    array (height, width, 3) uint8
-        RGB.
-    """
-    l_rgb, r_rgb = (np.broadcast_to(v if v.ndim == 3 else v[..., None], (*v.shape[:2], 3)) for v in (left, right))
-    if method == "dubois":
-        return _dubois(l_rgb, r_rgb)
-    red = l_rgb[..., 0] if method == "colour" else _grey(l_rgb)
-    cyan = np.repeat(_grey(r_rgb)[..., None], 2, axis=2) if method == "grey" else r_rgb[..., 1:]
-    return np.dstack([red, cyan]).astype(np.uint8)
-
-
-def _grey(rgb: Array) -> Picture:
-    return np.asarray(np.rint(rgb @ LUMINANCE), np.uint8)
-
-
-def _dubois(left: Array, right: Array) -> Picture:
-    both = LINEAR[np.dstack([left, right])]
-    return encoded(np.clip(both @ DUBOIS.T, 0, 1))
-
-
-def encoded(light: Array) -> Picture:
-    """Turn linear light, 0 to 1, into sRGB grey levels (IEC 61966-2-1)."""
-    curve = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.power(light, 1 / 2.4) - 0.055)
-    return np.asarray(np.rint(255 * curve), np.uint8)
-
-
-def linear_table() -> NDArray[np.float64]:
-    """Return the linear light of every sRGB grey level."""
-    level = np.arange(256) / 255
-    return np.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)
-
-
-LINEAR = linear_table()
-
-
-def side_by_side(pair: StereoPair, *, crossed: bool = False) -> Array:
-    """Put the views beside each other: for parallel eyes left on the left, for crossed eyes the other way round."""
-    return np.hstack([pair.right, pair.left] if crossed else [pair.left, pair.right])
+    return (
+        f"parallax reaches {abs(widest_px):.1f} px; more than {comfortable:.1f} px (1/30 of the width) tires the eyes.",
+    )

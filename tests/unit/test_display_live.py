@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from display.live import write_stereo
-from display.stereo import comfortable_pixel, stereo_pair
+from display.shifted import comfortable_pixel, stereo_pair
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -1,225 +1,116 @@
-"""Stereo pairs and anaglyphs against what geometry says."""
+"""Two eyes: vergence, parallax of points through both projections, and what is refused."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from devices.errors import DisplayError
-from display.stereo import (
-    DUBOIS,
-    anaglyph,
-    comfortable_pixel,
-    encoded,
-    linear_table,
-    middle_plane,
-    shifted_views,
-    side_by_side,
-    stereo_pair,
-    tilt_parallax_px,
-)
+from display.compose import PICTURES
+from display.stereo import MODES, Stereo, eye_matrix, parallax_warnings, plane_shifts, vergence_deg
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from devices.glasses_timing import Eye
 
-HEIGHT, WIDTH = 24, 160
-
-
-def texture(seed: int = 0, height: int = HEIGHT, width: int = WIDTH) -> NDArray[np.uint8]:
-    noise = np.random.default_rng(seed).normal(size=(height, width)).astype(np.float32)
-    smooth = cv2.GaussianBlur(noise, (0, 0), 2.0)
-    return np.asarray(128 + 100 * smooth / np.abs(smooth).max(), np.uint8)
+D = 10.0
+BEFORE = st.floats(-9.5, 50)  # heights over the plane of the screen, from the eye to far behind
 
 
-def found_shift(view: np.ndarray, image: np.ndarray, column: int, reach: int = 12) -> float:
-    """How far to the right a 31 px wide piece of the image lies in the view, by least squares, to sub-pixel."""
-    piece = image[:, column - 15 : column + 16].astype(np.float64)
-    errors = [
-        np.sum((view[:, column + s - 15 : column + s + 16].astype(np.float64) - piece) ** 2)
-        for s in range(-reach, reach + 1)
-    ]
-    best = int(np.argmin(errors))
-    before, at, after = errors[best - 1 : best + 2]
-    return best - reach + 0.5 * (before - after) / (before - 2 * at + after)
+def seen(stereo: Stereo, eye: Eye | None, point: tuple[float, float, float]) -> np.ndarray:
+    return np.asarray(eye_matrix(stereo, eye, D) @ [*point, 1.0])[:3]
 
 
-def flat(parallax_px: float) -> NDArray[np.float32]:
-    return np.full((HEIGHT, WIDTH), parallax_px, np.float32)
+def on_screen(stereo: Stereo, eye: Eye | None, point: tuple[float, float, float]) -> np.ndarray:
+    """Where a line from the camera through the point meets the plane that lies in the screen."""
+    x, y, z = seen(stereo, eye, point)
+    return np.array([x, y]) * D / -z
 
 
-def test_parallax_is_twice_height_times_sine_of_half_the_angle() -> None:
-    range_um = np.linspace(-50, 50, WIDTH)[np.newaxis].repeat(HEIGHT, 0)
-    parallax = tilt_parallax_px(range_um, pixel_um=0.5, angle_deg=8.0)
-    assert parallax == pytest.approx(2 * range_um * np.sin(np.radians(4)) / 0.5, abs=1e-4)
-    assert tilt_parallax_px(range_um, pixel_um=0.5, angle_deg=8, depth_scale=-2) == pytest.approx(-2 * parallax)
+def test_vergence_of_human_eyes() -> None:
+    assert vergence_deg(75, 1000) == pytest.approx(4.295, abs=5e-4)
+    assert vergence_deg(65, 1000) == pytest.approx(3.72, abs=5e-3)
+    assert Stereo().vergence_deg == vergence_deg(75, 1000)
 
 
-def test_the_middle_plane_lies_in_the_screen() -> None:
-    range_um = np.where(np.arange(WIDTH) < WIDTH // 2, 10.0, 30.0)[np.newaxis].repeat(HEIGHT, 0)
-    parallax = tilt_parallax_px(range_um, pixel_um=1.0, angle_deg=10)
-    assert parallax.min() == pytest.approx(-parallax.max())
-    assert middle_plane(range_um) == 20
+@given(x=st.floats(-3, 3), behind=BEFORE)
+def test_perspective_parallax_is_that_of_two_eyes_before_a_screen(x: float, behind: float) -> None:
+    stereo = Stereo("parallel")
+    eyes_apart = 2 * D * math.tan(math.radians(stereo.vergence_deg) / 2)
+    point = (x, 1.0, -(D + behind))
+    left, right = (on_screen(stereo, eye, point) for eye in ("left", "right"))
+    distance = D + behind
+    assert left[0] - right[0] == pytest.approx(eyes_apart * (D / distance - 1), abs=1e-9)
+    assert left[1] == right[1] == pytest.approx(D / distance)
+    for view, at in ((left, -eyes_apart / 2), (right, eyes_apart / 2)):
+        assert view[0] == pytest.approx(at + (x - at) * D / distance, abs=1e-9)
 
 
-@pytest.mark.parametrize("shift", [1, 3, -2])
-def test_whole_shifts_move_every_pixel_exactly(shift: int) -> None:
-    image = texture()
-    pair = shifted_views(image, flat(2.0 * shift))
-    inside = slice(8, -8)
-    assert np.array_equal(np.roll(image, shift, axis=1)[:, inside], pair.left[:, inside])
-    assert np.array_equal(np.roll(image, -shift, axis=1)[:, inside], pair.right[:, inside])
+@given(height=st.floats(-5, 5), angle=st.floats(0, 30))
+def test_parallel_parallax_is_the_shift_of_planes(height: float, angle: float) -> None:
+    stereo = Stereo("parallel", vergence_deg=angle)
+    left, right = (seen(stereo, eye, (1, 2, height - D)) for eye in ("left", "right"))
+    assert left[0] - right[0] == pytest.approx(2 * height * math.tan(math.radians(angle) / 2), abs=1e-9)
+    assert left[1] == right[1] == 2
+    shifts = plane_shifts(np.array([height]), 0.5, angle, "left")
+    assert (left[0] - 1) / 0.5 == pytest.approx(shifts[0], abs=1e-9)
 
 
-@pytest.mark.parametrize("parallax", [0.5, 3.3, -4.7])
-def test_fractions_of_a_pixel_are_interpolated(parallax: float) -> None:
-    image = texture()
-    pair = shifted_views(image, flat(parallax))
-    columns = np.arange(20, WIDTH - 20) - parallax / 2
-    low = np.floor(columns).astype(int)
-    expected = image[:, low] * (1 - (columns - low)) + image[:, low + 1] * (columns - low)
-    assert pair.left[:, 20 : WIDTH - 20] == pytest.approx(expected, abs=0.51)
+def test_a_turned_pair_is_a_turn_about_the_plane_of_the_screen() -> None:
+    stereo = Stereo("parallel", views="rotate", vergence_deg=8.0)
+    left, right = (seen(stereo, eye, (0, 2, 3 - D)) for eye in ("left", "right"))
+    assert left[0] - right[0] == pytest.approx(2 * 3 * math.sin(math.radians(4)))
+    assert seen(stereo, "left", (2, 0, -D))[0] == pytest.approx(2 * math.cos(math.radians(4)))
+    assert eye_matrix(stereo, "left", D)[:3, :3] @ eye_matrix(stereo, "left", D)[:3, :3].T == pytest.approx(np.eye(3))
 
 
-def test_disparity_found_by_matching_equals_the_formula_on_a_tilted_plane() -> None:
-    image = texture(3)
-    range_um = np.linspace(0.0, 16.0, WIDTH)[np.newaxis].repeat(HEIGHT, 0)
-    pair = stereo_pair(image, range_um, pixel_um=0.4, angle_deg=8.0)
-    for column in (40, 80, 120):
-        height = range_um[0, column] - middle_plane(range_um)
-        expected = 2 * height * np.sin(np.radians(4.0)) / 0.4
-        measured = found_shift(pair.left, image, column) - found_shift(pair.right, image, column)
-        assert measured == pytest.approx(expected, abs=0.1)
+@given(height=st.floats(-5, 5), depth=st.floats(-3, 3))
+def test_depth_is_stretched_about_the_screen_and_turned_inside_out(height: float, depth: float) -> None:
+    plain = [seen(Stereo("parallel"), eye, (0, 0, depth * height - D)) for eye in ("left", "right")]
+    stretched = [seen(Stereo("parallel", depth=depth), eye, (0, 0, height - D)) for eye in ("left", "right")]
+    assert stretched == [pytest.approx(view) for view in plain]
 
 
-def test_a_step_hides_what_is_behind_it_and_marks_what_nobody_saw() -> None:
-    image = texture()
-    parallax = flat(0.0)
-    parallax[:, 60:100] = 8.0  # before the screen: 4 px to the right for the left eye
-    pair = shifted_views(image, parallax)
-    assert np.array_equal(pair.left[:, 64:104], image[:, 60:100])
-    assert np.array_equal(pair.left[:, 104:], image[:, 104:])
-    assert np.array_equal(pair.right[:, 56:96], image[:, 60:100])
-    marked = np.flatnonzero(pair.filled_left[0])
-    assert marked.tolist() == [60, 61, 62, 63]
-    assert np.flatnonzero(pair.filled_right[0]).tolist() == [96, 97, 98, 99]
+@pytest.mark.parametrize("views", ["shift", "rotate"])
+def test_between_the_eyes_nothing_moves_and_the_screen_stays(views: Any) -> None:
+    assert eye_matrix(Stereo(views=views), None, D) == pytest.approx(np.eye(4))
+    for eye in ("left", "right"):
+        assert seen(Stereo("rows", views=views), eye, (0, 1, -D)) == pytest.approx([0, 1, -D])
 
 
-def test_gaps_are_filled_from_the_farther_side() -> None:
-    image = np.full((2, 60), 50, np.uint8)
-    image[:, 20:40] = 200
-    parallax = np.zeros((2, 60), np.float32)
-    parallax[:, 20:40] = 10.0
-    pair = shifted_views(image, parallax)
-    assert set(pair.left[pair.filled_left].tolist()) == {50}
-    assert set(pair.right[pair.filled_right].tolist()) == {50}
-
-
-def test_eyes_swap_when_depth_changes_its_sign() -> None:
-    image = np.dstack([texture(k) for k in range(3)])
-    range_um = 20 * texture(9).astype(float) / 255
-    near = stereo_pair(image, range_um, pixel_um=0.5)
-    far = stereo_pair(image, 2 * middle_plane(range_um) - range_um, pixel_um=0.5)
-    mirrored = stereo_pair(image, range_um, pixel_um=0.5, depth_scale=-1)
-    assert np.array_equal(near.left, mirrored.right)
-    assert np.array_equal(near.right, mirrored.left)
-    assert np.mean(np.abs(far.left.astype(int) - near.right)) < 0.01
-
-
-def test_no_depth_gives_two_equal_views_and_nothing_filled() -> None:
-    image = np.random.default_rng(1).integers(0, 65536, (HEIGHT, WIDTH, 3), np.uint16)
-    pair = stereo_pair(image, flat(7.0), pixel_um=1.0)
-    assert np.array_equal(pair.left, image)
-    assert np.array_equal(pair.right, image)
-    assert not pair.filled_left.any()
-    assert pair.warnings == ()
-
-
-@given(arrays(np.float32, (3, 40), elements=st.floats(-60, 60, width=32)))
-@settings(max_examples=60, deadline=None)
-def test_every_pixel_is_seen_or_marked_and_no_colour_is_invented(parallax: np.ndarray) -> None:
-    image = texture(2, 3, 40)
-    pair = shifted_views(image, parallax)
-    for view in (pair.left, pair.right):
-        assert view.min() >= image.min()
-        assert view.max() <= image.max()
-    nearest = np.unravel_index(np.argmax(parallax), parallax.shape)
-    for view, filled, share in ((pair.left, pair.filled_left, 0.5), (pair.right, pair.filled_right, -0.5)):
-        at = int(np.floor(nearest[1] + share * parallax[nearest] + 0.5))
-        assert filled.shape == view.shape
-        if 1 <= at < 39 and parallax[nearest] > 2:
-            assert not filled[nearest[0], at - 1 : at + 2].all()
-
-
-def test_too_much_parallax_and_angle_are_told() -> None:
-    pair = stereo_pair(texture(), np.linspace(0, 80, WIDTH)[np.newaxis].repeat(HEIGHT, 0), pixel_um=0.5, angle_deg=14)
-    assert any("1/30 of the width" in words for words in pair.warnings)
-    assert any("hard to fuse" in words for words in pair.warnings)
-
-
-def test_a_comfortable_pixel_gives_no_warning() -> None:
-    planes = np.linspace(0, 11, WIDTH)[np.newaxis].repeat(HEIGHT, 0)
-    pixel = comfortable_pixel(planes)
-    assert stereo_pair(texture(), planes, pixel_um=pixel).warnings == ()
-    low, high = tilt_parallax_px(planes, pixel_um=pixel, angle_deg=8)[0, [2, -3]]
-    assert high - low == pytest.approx(2 * WIDTH / 30, rel=0.02)
+def test_one_view_for_mono_and_two_for_every_other_mode() -> None:
+    assert Stereo().eyes == (None,)
+    assert {Stereo(mode).eyes for mode in MODES[1:]} == {("left", "right")}  # type: ignore[arg-type]
+    assert set(MODES) == {"mono", "page-flip", *PICTURES}
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [{"pixel_um": 0.0}, {"pixel_um": np.nan}, {"pixel_um": 1, "angle_deg": 90}, {"pixel_um": 1, "angle_deg": -1}],
+    ("wrong", "words"),
+    [
+        ({"mode": "anaglyf-grey"}, "did you mean 'anaglyph-grey'"),
+        ({"views": "turn"}, "no views 'turn'"),
+        ({"vergence_deg": 61}, "61° apart"),
+        ({"vergence_deg": math.nan}, "nan° apart"),
+        ({"depth": math.inf}, "depth × inf"),
+    ],
 )
-def test_numbers_that_make_no_sense_are_refused(wrong: dict[str, float]) -> None:
+def test_values_that_make_no_sense_are_refused(wrong: dict[str, Any], words: str) -> None:
+    with pytest.raises(DisplayError, match=words):
+        Stereo(**wrong)
+
+
+@pytest.mark.parametrize(("eyes", "distance"), [(65, 0), (65, -1), (-1, 100), (math.nan, 100), (65, math.inf)])
+def test_lengths_that_make_no_sense_are_refused(eyes: float, distance: float) -> None:
     with pytest.raises(DisplayError):
-        stereo_pair(texture(), flat(1.0), **wrong)
+        vergence_deg(eyes, distance)
 
 
-def test_sizes_that_differ_and_holes_are_refused() -> None:
-    with pytest.raises(DisplayError, match="the range image"):
-        stereo_pair(texture(), flat(1.0)[:-1], pixel_um=1.0)
-    with pytest.raises(DisplayError, match="not numbers"):
-        stereo_pair(texture(), flat(np.nan), pixel_um=1.0)
-
-
-@pytest.mark.parametrize("method", ["grey", "colour", "half-colour", "dubois"])
-def test_equal_grey_views_give_a_grey_anaglyph(method: str) -> None:
-    levels = np.arange(256, dtype=np.uint8)[np.newaxis]
-    picture = anaglyph(levels, levels, method=method)  # type: ignore[arg-type]
-    assert picture.shape == (1, 256, 3)
-    assert np.abs(picture.astype(int) - levels[..., np.newaxis]).max() <= 1
-
-
-@pytest.mark.parametrize("method", ["grey", "colour", "half-colour"])
-def test_red_is_for_the_left_eye(method: str) -> None:
-    white, black = np.full((2, 2), 255, np.uint8), np.zeros((2, 2), np.uint8)
-    assert anaglyph(white, black, method=method)[0, 0].tolist() == [255, 0, 0]  # type: ignore[arg-type]
-    assert anaglyph(black, white, method=method)[0, 0].tolist() == [0, 255, 255]  # type: ignore[arg-type]
-
-
-def test_colours_go_through_where_they_should() -> None:
-    left = np.array([[[200, 10, 20]]], np.uint8)
-    right = np.array([[[30, 120, 220]]], np.uint8)
-    assert anaglyph(left, right, method="colour")[0, 0].tolist() == [200, 120, 220]
-    assert anaglyph(left, right, method="half-colour")[0, 0].tolist() == [68, 120, 220]
-    assert anaglyph(left, right, method="grey")[0, 0].tolist() == [68, 104, 104]
-
-
-def test_dubois_keeps_white_and_works_in_linear_light() -> None:
-    assert DUBOIS.sum(axis=1) == pytest.approx(1.0, abs=2e-3)
-    green = np.array([[[0, 255, 0]]], np.uint8)
-    assert anaglyph(green * 0, green, method="dubois")[0, 0].tolist() == encoded(np.array([0, 0.7336, 0])).tolist()
-
-
-def test_linear_light_and_back_is_exact() -> None:
-    assert np.array_equal(encoded(linear_table()), np.arange(256))
-
-
-def test_side_by_side_for_parallel_and_crossed_eyes() -> None:
-    pair = shifted_views(texture(), flat(4.0))
-    assert np.array_equal(side_by_side(pair)[:, :WIDTH], pair.left)
-    assert np.array_equal(side_by_side(pair, crossed=True)[:, :WIDTH], pair.right)
+def test_what_is_hard_to_fuse_is_told() -> None:
+    assert "hard to fuse" in Stereo("parallel", vergence_deg=12).warnings[0]
+    assert Stereo("parallel").warnings == Stereo(vergence_deg=12).warnings == ()
+    assert "1/30" in parallax_warnings(-21, 600)[0]
+    assert parallax_warnings(19, 600) == ()
