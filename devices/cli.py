@@ -47,6 +47,7 @@ COMMAND_HELP = {
     "process elevation": "Measure the elevation of a surface from two views at a known tilt.",
     "process focus": "Make an extended-focus image and a range image from a focal stack.",
     "process indents": "Measure hardness indents, and the depth removed between two pictures of a face.",
+    "process operators": "List the operators that steps of a pipeline may name.",
     "run": "Take what a recipe says.",
     "section": "Move a microtome's feed and knife by hand.",
     "section approach": "Go forward to an absolute depth in one go.",

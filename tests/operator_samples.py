@@ -1,0 +1,69 @@
+"""A small input for every operator, and the slow but plain computation of those that have one.
+
+A new operator gets a line in `SAMPLES`: what it is tried on in test_operators.py.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    Layers = dict[str, Any]
+    Sample = Callable[[], tuple[Layers, dict[str, Any]]]
+
+
+def relief(*, holes: bool = True) -> Layers:
+    """A tilted, rough surface with two pits, its confidence, and a hole."""
+    rng = np.random.default_rng(5)
+    y, x = np.mgrid[0:48, 0:64].astype(np.float32)
+    height = 0.1 * x - 0.05 * y + cv2.GaussianBlur(rng.normal(size=x.shape).astype(np.float32), (0, 0), 2)
+    height[10:14, 20:24] -= 5
+    confidence = np.full(x.shape, 2, np.float32)
+    if holes:
+        height[30:36, 40:44] = np.nan
+        confidence[30:36, 40:44] = 0
+    return {"range": height, "confidence": confidence, "pixel_um": 0.5}
+
+
+def opened_by_definition(layers: Layers, params: dict[str, Any]) -> Layers:
+    from processing.range_operators import half_ellipsoid
+
+    ball = half_ellipsoid(params["radius_px"], params["height"])
+    window = np.isfinite(ball)
+    structure = np.where(window, ball, 0)
+    eroded = ndimage.grey_erosion(
+        layers["range"].astype(float), footprint=window, structure=structure, mode="constant", cval=np.inf
+    )
+    opened = ndimage.grey_dilation(eroded, footprint=window, structure=structure, mode="constant", cval=-np.inf)
+    return {"background": opened, "range": layers["range"] - opened}
+
+
+def smoothed_by_definition(layers: Layers, params: dict[str, Any]) -> Layers:
+    known = np.isfinite(layers["range"])
+    weight = np.where(known, layers["confidence"], 0).astype(float)
+    sigma = params["sigma_px"]
+    total = ndimage.gaussian_filter(weight * np.where(known, layers["range"], 0), sigma, mode="mirror", truncate=4)
+    return {"range": np.where(known, total / ndimage.gaussian_filter(weight, sigma, mode="mirror"), np.nan)}
+
+
+SAMPLES: dict[str, Sample] = {
+    "range.fill": lambda: (relief(), {}),
+    "range.level": lambda: (relief(), {}),
+    "range.median": lambda: (relief(holes=False), {"side_px": 5}),
+    "range.rolling_ball": lambda: (relief(holes=False), {"radius_px": 6.0, "height": 2.0}),
+    "range.smooth": lambda: (relief(), {"sigma_px": 1.5}),
+}
+
+REFERENCES: dict[str, Callable[[Layers, dict[str, Any]], Layers]] = {
+    "range.median": lambda layers, params: {
+        "range": ndimage.median_filter(layers["range"], params["side_px"], mode="nearest")
+    },
+    "range.rolling_ball": opened_by_definition,
+    "range.smooth": smoothed_by_definition,
+}
