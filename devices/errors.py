@@ -152,6 +152,12 @@ class CameraTimeout(DeviceError):
     code = "camera-timeout"
 
 
+class IncompleteFrame(CameraTimeout):
+    """A frame came with holes: as good as none, and as safe to take again."""
+
+    code = "camera-incomplete"
+
+
 class DeviceBusy(DeviceError):
     """Another program holds the port or the bench."""
 

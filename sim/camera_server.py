@@ -9,6 +9,7 @@ import os
 import socket
 import tempfile
 import threading
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108  a file system in memory; the file is made by mkstemp
 SLOTS = 4
+LATE_FRAME_S, LATE_EXPOSURES = 1.5, 6  # longer than drivers wait, which is 1 s or five exposures
 PAGE = mmap.PAGESIZE
 PREFIX = "stereotome-bench-"
 Answer = dict[str, Any]
@@ -134,6 +136,7 @@ class CameraServer:
             "truth": self._truth,
         }
         self._send: Callable[[Answer], None] = lambda _: None
+        self._hang_up: Callable[[], None] = lambda: None
 
     def serve(self) -> None:
         """Accept clients until closed; a second one at a time hears that the camera is busy."""
@@ -179,7 +182,7 @@ class CameraServer:
             with one_at_a_time:
                 connection.sendall(json.dumps(answer).encode() + b"\n")
 
-        self._send = send
+        self._send, self._hang_up = send, partial(connection.shutdown, socket.SHUT_RDWR)
         for line in connection.makefile("rb"):
             answer = self.answer(line)
             if answer is not None:
@@ -199,10 +202,23 @@ class CameraServer:
     def _trigger(self, _asked: Answer) -> Answer | None:
         slot = self._exposed % SLOTS
         start_ns, end_ns = self._shutter.expose(self._exposure_ms, self._frames.frames[slot])
+        return self._frame(slot, start_ns, end_ns)
+
+    def _frame(self, slot: int, start_ns: int, end_ns: int) -> Answer | None:
+        """Count a frame and return what is told of it, with the faults that strike it; None for one that is lost."""
         self._exposed += 1
-        if self._faults.strike("camera"):
+        kinds = {kind.partition(".")[2] for kind in self._faults.strike("camera")}
+        if "die" in kinds:
+            self._hang_up()
+        if kinds & {"die", "drop", "hang"}:
             return None
-        return {"slot": slot, "hw_id": self._exposed, "exposure_start_ns": start_ns, "exposure_end_ns": end_ns}
+        if "late" in kinds:
+            self._axis.clock.sleep(max(LATE_FRAME_S, LATE_EXPOSURES * self._exposure_ms / 1000))
+        frame = {"slot": slot, "hw_id": self._exposed, "exposure_start_ns": start_ns, "exposure_end_ns": end_ns}
+        if "half" in kinds:
+            self._frames.frames[slot][self._caps.height // 2 :] = 0
+            return {**frame, "incomplete": True}
+        return frame
 
     def _arm(self, asked: Answer) -> Answer:
         """Expose on the stage's pulses; frames carry the ``id`` of this question."""
@@ -216,7 +232,7 @@ class CameraServer:
                     self._send({"id": asked["id"], "ok": True, **frame})
 
         self._sent = self._acknowledged = 0
-        self._burst = Burst(self._lines, self._axis.clock, self._expose_in_turn, deliver)
+        self._burst = Burst(self._lines, self._axis.clock, self._expose_in_turn, deliver, self._faults)
         self._burst.start(int(asked["frames"]))
         return {"first_hw_id": self._exposed + 1}
 
@@ -238,11 +254,11 @@ class CameraServer:
         start_ns, end_ns = self._shutter.expose(
             self._exposure_ms, self._frames.frames[slot] if has_room else self._spare
         )
-        self._exposed += 1
-        if self._faults.strike("camera") or not has_room:
+        frame = self._frame(slot, start_ns, end_ns)
+        if frame is None or not has_room:
             return None
         self._sent += 1
-        return {"slot": slot, "hw_id": self._exposed, "exposure_start_ns": start_ns, "exposure_end_ns": end_ns}
+        return frame
 
     def _truth(self, asked: Answer) -> Answer:
         path_um = self._axis.path_um(asked["start_ns"] / NS, asked["end_ns"] / NS)

@@ -1,7 +1,7 @@
 """Faults on purpose, named in words: ``z.late@3``, ``feed.garble@10%``, ``z.stall@12.5um``, ``camera.hang@4``.
 
-Faults of the wire strike replies, those of the camera frames; faults of the mechanics are done to a device once, by
-whoever gave its device to `Faults.when_changed`.
+Faults of the wire strike replies, those of the camera frames, those of the trigger cables pulses; faults of the
+mechanics are done to a device once, by whoever gave its device to `Faults.when_changed`.
 """
 
 from __future__ import annotations
@@ -25,17 +25,25 @@ NUMBER, SHARE, SECONDS, PLACE, DRIFT = "", "%", "s", "um", "ppm"
 ONCE, LASTING = (NUMBER, SHARE), (NUMBER, SECONDS)
 ON_A_WIRE = {"silent": LASTING, "die": LASTING, "drop": ONCE, "late": ONCE, "garble": ONCE, "half": ONCE}
 SERIAL_DEVICES = ("z", "feed", "glasses")
+PULSES = ".pulse-"
 KINDS: dict[str, tuple[str, ...]] = {
     **{f"{device}.{kind}": units for device in SERIAL_DEVICES for kind, units in ON_A_WIRE.items()},
     "z.stall": (PLACE,),
     "z.limit": (PLACE,),
+    "z.pulse-lost": ONCE,
+    "z.pulse-doubled": ONCE,
     "feed.stall": (PLACE,),
     "feed.alarm": (PLACE,),
     "feed.jam": (),
     "feed.uncounted": (),
+    "feed.word-order": (),
     "glasses.drift": (DRIFT,),
     "camera.drop": ONCE,
+    "camera.late": ONCE,
+    "camera.half": ONCE,
     "camera.hang": LASTING,
+    "camera.die": LASTING,
+    "camera.pulse-lost": ONCE,
 }
 SIGNED = {PLACE, DRIFT}
 MEANING = {
@@ -45,7 +53,7 @@ MEANING = {
     PLACE: "Zum",
     DRIFT: "Nppm",
 }
-_FAULT = re.compile(r"([a-z]+\.[a-z]+)(?:@(-?\d+(?:\.\d+)?)(um|ppm|s|%|))?")
+_FAULT = re.compile(r"([a-z]+\.[a-z-]+)(?:@(-?\d+(?:\.\d+)?)(um|ppm|s|%|))?")
 
 
 @dataclass(frozen=True)
@@ -68,6 +76,11 @@ class Fault:
     def device(self) -> str:
         """The device it happens to."""
         return self.kind.partition(".")[0]
+
+    @property
+    def counted(self) -> str:
+        """What it strikes: the device's replies or frames, or the pulses that come to it."""
+        return pulses_of(self.device) if PULSES in self.kind else self.device
 
     @property
     def of_mechanics(self) -> bool:
@@ -104,6 +117,11 @@ def parse_fault(text: str) -> Fault:
         raise RigError(f"fault '{text}': cannot be read.", fix=f"write {' or '.join(_forms(kind))}")
     when, unit = found.group(2), found.group(3) or NUMBER
     return Fault(kind, None if when is None else float(when), unit)
+
+
+def pulses_of(device: str) -> str:
+    """Return the name under which pulses that come to a device are counted."""
+    return f"{device} pulses"
 
 
 def parse_faults(texts: Iterable[str]) -> tuple[Fault, ...]:
@@ -148,7 +166,7 @@ class Armed:
 
 
 class Faults:
-    """Decides which faults strike; counts the commands of each device, and the frames of the camera.
+    """Decides which faults strike; counts the commands of each device, the frames of the camera, and pulses.
 
     They may be switched on and off at any time, from any thread; a number or a time counts from there.
 
@@ -186,7 +204,7 @@ class Faults:
     def switch_on(self, fault: Fault) -> None:
         """Switch a fault on; one of the same kind that was on ends."""
         others = tuple(armed for armed in self._armed if armed.fault.kind != fault.kind)
-        self._armed = (*others, Armed(fault, self._counts[fault.device], self._clock.now()))
+        self._armed = (*others, Armed(fault, self._counts[fault.counted], self._clock.now()))
         self._done(fault.kind, fault)
 
     def switch_off(self, kind: str) -> bool:
@@ -196,14 +214,14 @@ class Faults:
         self._done(kind, None)
         return len(self._armed) < len(before)
 
-    def strike(self, device: str) -> set[str]:
-        """Count one command or frame of a device and return the kinds that strike it."""
-        self._counts[device] += 1
-        mine = [armed for armed in self._armed if armed.fault.device == device and not armed.fault.of_mechanics]
+    def strike(self, counted: str) -> set[str]:
+        """Count one command or frame of a device, or one of `pulses_of` it, and return the kinds that strike it."""
+        self._counts[counted] += 1
+        mine = [armed for armed in self._armed if armed.fault.counted == counted and not armed.fault.of_mechanics]
         return {armed.fault.kind for armed in mine if self._strikes(armed)}
 
     def _strikes(self, armed: Armed) -> bool:
-        number = self._counts[armed.fault.device] - armed.count
+        number = self._counts[armed.fault.counted] - armed.count
         return armed.fault.strikes(number, self._clock.now() - armed.since_s, self._chance)
 
     def _done(self, kind: str, fault: Fault | None) -> None:

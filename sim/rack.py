@@ -11,7 +11,8 @@ from devices.values import Limits
 from sim.faults import FaultyTwin
 from sim.motion import ENDLESS
 from sim.serial_line import SerialLine
-from sim.stages import Triggered, stage_kind
+from sim.stages import stage_kind
+from sim.triggered_camera import FaultyLines, TriggerLines
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from devices.feed_spec import FeedSpec
     from devices.protocols import Clock
     from sim.bench import Bench
+    from sim.controllers.registers import RegisterTwin, WordOrder
     from sim.faults import Fault, Faults
     from sim.motion import Axis
     from sim.stages import Twin
@@ -122,7 +124,7 @@ def stage_device(bench: Bench, faults: Faults, folder: Path, *, tcp: bool) -> De
     line = SerialLine(feed, bench.spec.stage.z.baud, bench.axis.clock, link=folder / "z.port", misheard=kind.misheard)
     faults.when_changed("z.stall", partial(_stall, bench.axis))
     faults.when_changed("z.limit", _Limit(bench.axis))
-    pulse = bench.twin.ttl_in if isinstance(bench.twin, Triggered) else None
+    pulse = FaultyLines(bench.twin, faults).ttl_in if isinstance(bench.twin, TriggerLines) else None
     return Device("z", line.tcp_url if tcp else line.port, line, power, pulse)
 
 
@@ -148,6 +150,7 @@ def feed_device(spec: FeedSpec, faults: Faults, clock: Clock, folder: Path) -> D
     faults.when_changed("feed.stall", partial(_stall, machine.axis))
     faults.when_changed("feed.alarm", lambda fault: setattr(machine, "trip_at_um", _number(fault)))
     faults.when_changed("feed.jam", lambda fault: setattr(knife, "jam", fault is not None))
+    faults.when_changed("feed.word-order", partial(_swap_words, twin.drive, twin.drive.word_order))
     faults.when_changed("feed.uncounted", lambda fault: setattr(knife, "counter_dead", fault is not None))
     port = line.port if link.kind == "rtu" else line.tcp_url.removeprefix("socket://")
     return Device("feed", port, line, power, counters=twin.counters)
@@ -174,6 +177,12 @@ def _stall(axis: Axis, fault: Fault | None) -> None:
     elif axis.travel != ENDLESS:
         axis.travel = ENDLESS
         axis.halt()
+
+
+def _swap_words(drive: RegisterTwin, order: WordOrder, fault: Fault | None) -> None:
+    """Let a drive put its 32-bit numbers the other way round than its manual says, as some can be set to."""
+    other: WordOrder = "little" if order == "big" else "big"
+    drive.word_order = other if fault else order
 
 
 def _number(fault: Fault | None) -> float | None:

@@ -20,7 +20,7 @@ from sim.camera_server import CameraServer
 from sim.control import Control
 from sim.faults import Faults, parse_faults
 from sim.rack import fill_rack
-from sim.triggered_camera import TriggerLines
+from sim.triggered_camera import FaultyLines, TriggerLines
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -72,7 +72,7 @@ def serve(
 def _start(bench: Bench, faults: Faults, folder: Path, cleanup: ExitStack, *, tcp: bool) -> dict[str, object]:
     """Open the ports, write the files, start to serve, and return what the starter wants to know."""
     rack = fill_rack(bench, faults, folder, cleanup, tcp=tcp)
-    lines = bench.twin if isinstance(bench.twin, TriggerLines) else None
+    lines = FaultyLines(bench.twin, faults) if isinstance(bench.twin, TriggerLines) else None
     camera = CameraServer(bench.sensor, bench.axis, faults, exposure_ms=bench.spec.camera.exposure_ms, lines=lines)
     cleanup.callback(camera.close)
     control = Control(rack, bench.axis, faults)

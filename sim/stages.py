@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol
 
 from devices.errors import RigError, did_you_mean
 from devices.values import Limits
@@ -26,15 +26,6 @@ class Twin(Protocol):
 
     def power_cycle(self) -> None:
         """Be switched off and on: what was not saved is lost."""
-        ...
-
-
-@runtime_checkable
-class Triggered(Protocol):
-    """A controller with a TTL input."""
-
-    def ttl_in(self) -> None:
-        """Take a pulse."""
         ...
 
 

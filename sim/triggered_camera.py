@@ -5,10 +5,13 @@ from __future__ import annotations
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
+from sim.faults import pulses_of
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from devices.protocols import Clock
+    from sim.faults import Faults
 
 POLL_S = 0.001
 
@@ -26,6 +29,24 @@ class TriggerLines(Protocol):
         ...
 
 
+class FaultyLines:
+    """The cables to and from a stage's controller, which may lose a pulse on the way, or bring it twice."""
+
+    def __init__(self, lines: TriggerLines, faults: Faults) -> None:
+        self._lines = lines
+        self._faults = faults
+
+    def ttl_in(self) -> None:
+        """Bring a pulse to the stage, if it arrives."""
+        kinds = self._faults.strike(pulses_of("z"))
+        for _ in range(0 if "z.pulse-lost" in kinds else 2 if "z.pulse-doubled" in kinds else 1):
+            self._lines.ttl_in()
+
+    def ttl_out_s(self) -> float | None:
+        """Return when the stage's output rose last or will rise."""
+        return self._lines.ttl_out_s()
+
+
 class Burst:
     """Exposes upon each rising edge of the stage's output, and pulses the stage's input at the end of each exposure.
 
@@ -41,6 +62,8 @@ class Burst:
         Exposes one frame; what it returns is handed to ``deliver`` after the pulse.
     deliver : callable
         Takes the frame away.
+    faults : Faults
+        Edges that do not arrive.
     """
 
     def __init__(
@@ -49,7 +72,9 @@ class Burst:
         clock: Clock,
         expose: Callable[[], dict[str, Any] | None],
         deliver: Callable[[dict[str, Any] | None], None],
+        faults: Faults,
     ) -> None:
+        self._faults = faults
         self._lines = lines
         self._clock = clock
         self._expose = expose
@@ -85,6 +110,7 @@ class Burst:
             left_s = POLL_S if edge_s is None or edge_s <= self._seen_s else edge_s - self._clock.now()
             if left_s <= 0:
                 self._seen_s = edge_s or 0.0
-                return True
-            self._clock.sleep(left_s)
+                if "camera.pulse-lost" not in self._faults.strike(pulses_of("camera")):
+                    return True
+            self._clock.sleep(max(left_s, 0.0))
         return False

@@ -54,12 +54,11 @@ class AsiTriggeredStage(AsiStage):
         return self._load_linear(positions_um, longest_wait_s)
 
     def start_sequence(self) -> None:
-        """Let the ring go to its first position, where the axis is already, or raise the output once."""
-        if self._by_ring:
-            self._link.ask(ttl.step_ring(self._card.address))
-            return
-        self._link.ask(ttl.output(ttl.OUT_HIGH, self._card.address))
-        self._link.ask(ttl.output(ttl.OUT_AFTER_MOVE, self._card.address))
+        """Let the axis go to where it is already: the pulse at the end of that move is the first one.
+
+        Nothing more is sent: a short exposure would be over before the controller had read it.
+        """
+        self._link.ask(ttl.step_ring(self._card.address) if self._by_ring else ttl.stay())
 
     def end_sequence(self, timeout_s: float) -> float:
         """Heed no more pulses and return where the axis comes to rest, in µm.

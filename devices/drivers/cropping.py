@@ -1,4 +1,4 @@
-"""A part of each frame, cut out by the driver where the camera cannot do it."""
+"""What a driver does to each frame: see that it is one of its camera's, and cut out a part where the camera cannot."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from devices.errors import LimitError
+from devices.errors import DeviceError, LimitError
 from devices.values import Roi
 
 if TYPE_CHECKING:
@@ -19,6 +19,23 @@ def check_exposure(exposure_ms: float) -> None:
     """Raise `LimitError` unless it is a length of time."""
     if not 0 < exposure_ms < math.inf:
         raise LimitError(f"camera: an exposure of {exposure_ms:g} ms is none.")
+
+
+def check_frame(pixels: np.ndarray, caps: CameraCaps) -> None:
+    """Raise `DeviceError` (camera-frame) unless a frame is as large and as deep as ``caps`` says."""
+    if pixels.shape == caps.shape and str(pixels.dtype) == caps.dtype:
+        return
+    raise DeviceError(
+        f"camera: a frame of {words_of(pixels.shape)} {pixels.dtype} came, not of {words_of(caps.shape)} {caps.dtype}.",
+        why="Its settings were changed by another program, or the frame came in part.",
+        fix="let no other program set the camera, then start again.",
+        code="camera-frame",
+    )
+
+
+def words_of(shape: tuple[int, ...]) -> str:
+    """Return the shape of a frame as people say it: width x height, then bands if there are several."""
+    return " x ".join(str(length) for length in (*shape[1::-1], *shape[2:])) + " px"
 
 
 def centred(caps: CameraCaps, size_px: tuple[int, int]) -> Roi:
@@ -58,5 +75,6 @@ class Crop:
         self.choose(roi)
 
     def __call__(self, pixels: np.ndarray) -> np.ndarray:
-        """Return the part as a view."""
+        """Return the part as a view; raises camera-frame for a frame of another size or type."""
+        check_frame(pixels, self.whole)
         return pixels if self._roi is None else self._roi.of(pixels)

@@ -111,13 +111,13 @@ class GenicamCamera:
 
     def arm(self, frames: int | None, sink: FrameSink) -> None:
         """Deliver a number of frames, upon triggers or, if the camera has none, as they come."""
-        self.stop(self._timeout_s)
+        self.stop(SETTING_S)
         self._ending.clear()
         self._asked.clear()
         started = Event()
         self._delivery = self._sdk.begin(lambda: self._deliver(frames, sink, started))
-        if not started.wait(self._timeout_s):
-            raise CameraTimeout(f"camera: it did not start within {self._timeout_s:g} s.")
+        if not started.wait(SETTING_S):
+            raise CameraTimeout(f"camera: it did not start within {SETTING_S:g} s.")
 
     def trigger(self) -> None:
         """Ask for a frame; nothing for a camera that runs free. Raises the failure that ended the delivery."""
@@ -417,7 +417,7 @@ def _told(step: Callable[[], T], doing: str) -> T:
 def _complaints() -> tuple[type[Exception], ...]:
     """Return what a producer, and Harvester on top of it, raise."""
     gentl = load_library("genicam.gentl", driver=DRIVER, extra="genicam")
-    return (gentl.GenericException, *_value_errors(), OSError, ValueError, AttributeError)
+    return (gentl.GenericException, *_value_errors(), OSError, ValueError, AttributeError, IndexError)
 
 
 def _nothing() -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from devices.drivers.cropping import centred, check_exposure
+from devices.drivers.cropping import centred, check_exposure, check_frame
 from devices.drivers.sdk_thread import SdkThread, guess, load_library
 from devices.errors import CameraTimeout, DeviceError, LimitError, Refused, RigError, StereotomeError
 from devices.values import CameraCaps, FrameStamp, Roi
@@ -97,7 +97,7 @@ class MicroManagerCamera:
 
     def arm(self, frames: int | None, sink: FrameSink) -> None:
         """Get ready for a number of triggers."""
-        self.stop(self._timeout_s)
+        self.stop(SETTING_S)
         self._sink, self._frames_left = sink, frames
 
     def trigger(self) -> None:
@@ -122,7 +122,7 @@ class MicroManagerCamera:
 
     def arm_free_run(self, frames: int | None, sink: FrameSink) -> None:
         """Deliver frames as they come, each with the core's image number as its ``hw_id``."""
-        self.stop(self._timeout_s)
+        self.stop(SETTING_S)
         self._ending.clear()
         self._delivery = self._sdk.begin(lambda: self._deliver(frames, sink))
 
@@ -230,8 +230,14 @@ class MicroManagerCamera:
         start_ns = self._now_ns()
         self._core.snapImage()
         end_ns = self._now_ns()
-        pixels = _grey_or_rgb(self._core.getImage())
+        pixels = self._checked(self._core.getImage())
         return pixels, FrameStamp(self._now_ns(), None, start_ns, end_ns)
+
+    def _checked(self, pixels: np.ndarray) -> np.ndarray:
+        """Return grey or RGB pixels, if they are as `caps` says."""
+        pixels = _grey_or_rgb(pixels)
+        check_frame(pixels, self._caps)
+        return pixels
 
     def _now_ns(self) -> int:
         return round(self._clock.now() * 1e9)
@@ -266,7 +272,7 @@ class MicroManagerCamera:
         said = load_library("pymmcore", driver=DRIVER, extra="mm").Metadata()
         pixels = self._core.popNextImageMD(said)
         number = said.GetSingleTag("ImageNumber").GetValue() if said.HasTag("ImageNumber") else ""
-        return _grey_or_rgb(pixels), FrameStamp(self._now_ns(), int(number) if number.isdigit() else None)
+        return self._checked(pixels), FrameStamp(self._now_ns(), int(number) if number.isdigit() else None)
 
 
 def open_camera(table: CameraSpec, context: DeviceContext) -> MicroManagerCamera:

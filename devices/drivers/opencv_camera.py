@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from threading import Event, Thread
 from typing import TYPE_CHECKING
@@ -10,7 +11,7 @@ import cv2
 import numpy as np
 
 from devices.drivers.cropping import Crop, check_exposure
-from devices.errors import CameraTimeout, DeviceError, LimitError, LinkLost, RigError
+from devices.errors import CameraTimeout, DeviceError, LimitError, LinkLost, RigError, StereotomeError
 from devices.values import CameraCaps, FrameStamp
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 BUFFERED_FRAMES = 4  # V4L2 and Media Foundation queue about this many; older frames come first
 SLOWEST_READOUT_MS = 100.0
+CLOSE_S = 2.0
 MANUAL_EXPOSURE = 1  # V4L2's name for "not automatic"
 EXPOSURE_UNITS_PER_MS = 10.0  # V4L2 counts 100 µs
 
@@ -53,7 +55,7 @@ class OpenCvCamera:
         self._crop = Crop(self._caps_of_first_frame())
         self._thread: Thread | None = None
         self._ending = Event()
-        self._failure: LinkLost | None = None
+        self._failure: StereotomeError | None = None
 
     def caps(self) -> CameraCaps:
         """Return what frames look like; nothing is known of their times but the arrival."""
@@ -83,7 +85,7 @@ class OpenCvCamera:
         self._thread.start()
 
     def trigger(self) -> None:
-        """Do nothing, for the camera runs free; raises `LinkLost` once it is gone."""
+        """Do nothing, for the camera runs free; raises what ended the delivery: `LinkLost` once it is gone."""
         if self._failure is not None:
             raise self._failure
 
@@ -98,20 +100,26 @@ class OpenCvCamera:
         self._thread = None
 
     def close(self) -> None:
-        """Release the camera."""
-        self.stop(timeout_s=2.0)
-        self._capture.release()
+        """Release the camera; one that hangs is left to the end of the program."""
+        with suppress(CameraTimeout):
+            self.stop(CLOSE_S)
+            self._capture.release()
 
     def _deliver(self, frames: int | None, sink: FrameSink) -> None:
+        try:
+            self._deliver_all(frames, sink)
+        except StereotomeError as failure:
+            self._failure = failure
+
+    def _deliver_all(self, frames: int | None, sink: FrameSink) -> None:
         number = 0
         while not self._ending.is_set() and number != frames:
             found, pixels = self._read()
             arrival_ns = int(self._clock.now() * 1e9)
             if not found:
-                self._failure = _gone(self._spec, number)
-                return
+                raise _gone(self._spec, number)
             number += 1
-            sink(_rgb(self._crop(pixels)), FrameStamp(arrival_ns))
+            sink(self._crop(_rgb(pixels)), FrameStamp(arrival_ns))
             if self._recorded:
                 self._clock.sleep(self._exposure_s)
 

@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from devices.drivers.cropping import Crop, check_exposure
-from devices.errors import CameraTimeout, DeviceBusy, DeviceError, LimitError, MalformedReply, RigError
+from devices.errors import (
+    CameraTimeout,
+    DeviceBusy,
+    DeviceError,
+    IncompleteFrame,
+    LimitError,
+    LinkLost,
+    MalformedReply,
+    RigError,
+)
 from devices.transport.json_lines import JsonLines
 from devices.values import CameraCaps, FrameStamp
 
@@ -22,6 +31,7 @@ if TYPE_CHECKING:
     from devices.values import Roi
 
 ANSWER_S = 5.0
+LEAST_ANSWER_S = 0.1
 STREAM_SLICE_S = 0.05
 STAMPED = ("hw_id", "exposure_start_ns", "exposure_end_ns")
 SHORTEST_FRAME_TIMEOUT_S = 1.0
@@ -56,7 +66,7 @@ class SimCamera:
         answer = self._ask("caps", ANSWER_S)
         try:
             whole = _caps(answer["caps"])
-            self._slots = _slots(answer["frames"], whole)
+            self._slots = Slots(answer["frames"], whole)
         except (KeyError, TypeError, ValueError, OverflowError, OSError) as cause:
             raise _no_camera(f"{type(cause).__name__}: {cause}", answer) from cause
         self._crop = Crop(whole)
@@ -85,7 +95,7 @@ class SimCamera:
         Raises
         ------
         CameraTimeout
-            No frame within five exposures, or 1 s when that is longer.
+            No frame within five exposures, or 1 s when that is longer; `IncompleteFrame` for one with holes.
         LinkLost
             The bench ended.
         """
@@ -107,13 +117,17 @@ class SimCamera:
         return int(first["first_hw_id"])
 
     def stop(self, timeout_s: float) -> None:
-        """End the delivery."""
-        stream, self._stream = self._stream, None
-        if stream is not None:
-            self._stopped.set()
-            stream.join(timeout_s)
-            self._ask("disarm", ANSWER_S)
+        """End the delivery; raises `CameraTimeout` when the bench, or a sink, does not come back."""
         self._sink = None
+        if self._stream is None:
+            return
+        deadline = self._clock.now() + timeout_s
+        self._stopped.set()
+        self._stream.join(timeout_s)
+        if self._stream.is_alive():
+            raise CameraTimeout(f"camera: it did not stop within {timeout_s:g} s.")
+        self._stream = None
+        self._ask("disarm", max(deadline - self._clock.now(), LEAST_ANSWER_S))
 
     def close(self) -> None:
         """Leave the bench."""
@@ -127,14 +141,17 @@ class SimCamera:
             while not self._stopped.is_set():
                 answer = self._wire.receive(STREAM_SLICE_S)
                 if answer is not None and answer.get("id") == armed:
-                    self._hand_over(_done(answer))
+                    with contextlib.suppress(IncompleteFrame):  # its number is missing, as that of a lost one
+                        self._hand_over(_done(answer))
                     self._wire.send({"do": "taken"})
 
     def _hand_over(self, answer: dict[str, Any]) -> None:
         arrival_ns = int(self._clock.now() * 1e9)
         try:
-            pixels = self._crop(self._slots[int(answer["slot"])])
             stamp = FrameStamp(arrival_ns, *(int(answer[key]) for key in STAMPED))
+            if answer.get("incomplete"):
+                raise _with_holes(stamp)
+            pixels = self._crop(self._slots[int(answer["slot"])])
         except (KeyError, TypeError, ValueError, OverflowError, IndexError) as cause:
             raise _no_camera(f"{type(cause).__name__}: {cause}", answer) from cause
         if self._sink is not None:
@@ -211,12 +228,31 @@ def _caps(said: dict[str, Any]) -> CameraCaps:
     return caps
 
 
-def _slots(said: dict[str, Any], caps: CameraCaps) -> list[np.ndarray]:
-    """Return a read-only view of each slot of the bench's frame file."""
-    with Path(said["path"]).open("rb") as file:
-        memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    offsets = [int(said["offset_bytes"]) + slot * int(said["stride_bytes"]) for slot in range(int(said["slots"]))]
-    return [np.ndarray(caps.shape, caps.dtype, buffer=memory, offset=offset) for offset in offsets]
+class Slots:
+    """The bench's frame file: a read-only view of each slot.
+
+    Looking at what a shortened file no longer holds would end the program without a word, so its length is looked at
+    first.
+    """
+
+    def __init__(self, said: dict[str, Any], caps: CameraCaps) -> None:
+        with Path(said["path"]).open("rb") as file:
+            self._memory = memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        offsets = [int(said["offset_bytes"]) + slot * int(said["stride_bytes"]) for slot in range(int(said["slots"]))]
+        self._views = [np.ndarray(caps.shape, caps.dtype, buffer=memory, offset=offset) for offset in offsets]
+
+    def __getitem__(self, slot: int) -> np.ndarray:
+        if self._memory.size() < len(self._memory):  # size() is that of the file now
+            raise LinkLost(
+                "camera: the bench's frames are gone from its file.",
+                why="The file in shared memory was shortened.",
+                fix="start the bench again; leave its files alone.",
+            )
+        return self._views[slot]
+
+
+def _with_holes(stamp: FrameStamp) -> IncompleteFrame:
+    return IncompleteFrame(f"camera: frame {stamp.hw_id} came with holes.", fix="check the camera's cable and network.")
 
 
 def _no_camera(why: str, answer: dict[str, Any]) -> MalformedReply:

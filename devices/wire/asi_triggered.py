@@ -17,7 +17,7 @@ LONGEST_TIMEOUT_MS: Final = 32767
 MOST_PLANES: Final = 32767
 MOST_PLANES_OLD: Final = 127  # firmware before 9.50 and 3.43
 IN_OFF, IN_RING, IN_STACK = 0, 1, 4
-OUT_LOW, OUT_HIGH, OUT_AFTER_MOVE = 0, 1, 2
+OUT_LOW, OUT_AFTER_MOVE = 0, 2
 
 
 def clear_ring(card: str = "") -> Request[None]:
@@ -45,13 +45,18 @@ def step_ring(card: str = "") -> Request[None]:
     return asi.command(f"{card}RM", repeatable=False, moves=True)
 
 
+def stay() -> Request[None]:
+    """Move by nothing; all that comes of it is the pulse after a move."""
+    return asi.command("R Z=0", repeatable=False, moves=True)
+
+
 def on_pulse(action: int, card: str = "") -> Request[None]:
     """Choose what a pulse at the input does: ``IN_OFF``, ``IN_RING``, ``IN_STACK``."""
     return asi.command(f"{card}TTL X={action}")
 
 
 def output(action: int, card: str = "") -> Request[None]:
-    """Set the output: ``OUT_LOW``, ``OUT_HIGH``, or a pulse after each move, ``OUT_AFTER_MOVE``."""
+    """Set the output: ``OUT_LOW``, or a pulse after each move, ``OUT_AFTER_MOVE``."""
     return asi.command(f"{card}TTL Y={action}")
 
 

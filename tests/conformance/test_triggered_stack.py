@@ -28,7 +28,7 @@ from sim.faults import Faults, FaultyTwin, parse_faults
 from sim.motion import Axis
 from sim.serial_line import SerialLine
 from sim.stage import SimStage
-from sim.triggered_camera import TriggerLines
+from sim.triggered_camera import FaultyLines, TriggerLines
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -63,27 +63,11 @@ class Kept:
         return end
 
 
-class Cables:
-    """The trigger cables, which may lose the nth pulse to the stage, or bring it twice."""
-
-    def __init__(self, twin: Ms2000, lost: int = 0, twice: int = 0) -> None:
-        self.twin, self.lost, self.twice, self.pulses = twin, lost, twice, 0
-
-    def ttl_in(self) -> None:
-        self.pulses += 1
-        for _ in range(0 if self.pulses == self.lost else 2 if self.pulses == self.twice else 1):
-            self.twin.ttl_in()
-
-    def ttl_out_s(self) -> float | None:
-        return self.twin.ttl_out_s()
-
-
 class Setup:
     """A bench in this process, on a pseudo-terminal and a TCP port, with the real drivers at their other ends."""
 
-    def __init__(self, stage, camera, axis, cables, twin, server) -> None:
-        self.server = server
-        self.stage, self.camera, self.axis, self.cables, self.twin = stage, camera, axis, cables, twin
+    def __init__(self, stage, camera, axis, twin, server) -> None:
+        self.stage, self.camera, self.axis, self.twin, self.server = stage, camera, axis, twin, server
         self.out, self.told = Kept(), []
         self.on_plane: Callable[[int], None] = lambda plane: None
 
@@ -121,16 +105,15 @@ def to_um(plan: StackPlan, plane: int) -> float:
 
 
 @contextmanager
-def bench(*faults: str, driver: str = "asi-ms2000", baud: int = 115200, settle_ms: float = 0, **cables: int):
+def bench(*faults: str, driver: str = "asi-ms2000", baud: int = 115200, settle_ms: float = 0):
     clock = SystemClock()
     open_stage, make_twin = DRIVERS[driver]
     axis = Axis(clock, Limits(**LIMITS))
     twin = make_twin({"X": Axis(clock, Limits(**LIMITS)), "Y": Axis(clock, Limits(**LIMITS)), "Z": axis})
     struck = Faults(parse_faults(faults), clock)
     line = SerialLine(FaultyTwin(twin.feed, struck, "z").feed, baud, clock)
-    wires = Cables(twin, **cables)
     maker = Replay(np.zeros((1, *SHAPE), np.uint16), CAPS)
-    server = CameraServer(maker, axis, struck, exposure_ms=EXPOSURE_MS, lines=wires)
+    server = CameraServer(maker, axis, struck, exposure_ms=EXPOSURE_MS, lines=FaultyLines(twin, struck))
     threading.Thread(target=server.serve, daemon=True).start()
     table = {"driver": "asi-ms2000", "port": line.port, "baud": baud, "limits": LIMITS, "settle_ms": settle_ms}
     try:
@@ -138,7 +121,7 @@ def bench(*faults: str, driver: str = "asi-ms2000", baud: int = 115200, settle_m
             stage = open_stage(AxisSpec.model_validate(table), DeviceContext(clock))
             camera = sim_camera.open_camera(CameraSpec(driver="sim", address=server.address), DeviceContext(clock))
             with closing(stage), closing(camera):
-                yield Setup(stage, camera, axis, wires, twin, server)
+                yield Setup(stage, camera, axis, twin, server)
     finally:
         line.unplug()
 
@@ -183,9 +166,12 @@ FAULTS: dict[str, Callable[[], object]] = {
     "a frame lost on its way": lambda: bench("camera.drop@5"),
     "the first frame lost": lambda: bench("camera.drop@1"),
     "the last frame lost": lambda: bench("camera.drop@12"),
-    "a pulse to the stage lost": lambda: bench(lost=4),
-    "the first pulse lost": lambda: bench(lost=1),
-    "a pulse brought twice": lambda: bench(twice=6),
+    "a pulse to the stage lost": lambda: bench("z.pulse-lost@4"),
+    "the first pulse lost": lambda: bench("z.pulse-lost@1"),
+    "a pulse brought twice": lambda: bench("z.pulse-doubled@6"),
+    "a pulse to the camera lost": lambda: bench("camera.pulse-lost@5"),
+    "the first pulse to the camera lost": lambda: bench("camera.pulse-lost@1"),
+    "a frame with holes": lambda: bench("camera.half@4"),
     "replies garbled": lambda: bench("z.garble@5%"),
     "replies lost": lambda: bench("z.drop@4%"),
 }
@@ -210,7 +196,7 @@ def test_what_was_lost_is_named_and_taken_one_by_one():
     with bench("camera.drop@5") as setup:
         assert setup.run(plan(12)) is RunState.COMPLETED
         assert setup.warnings == "triggered stack: frames were lost; taken one by one: [4]"
-    with bench(lost=4) as setup:
+    with bench("z.pulse-lost@4") as setup:
         assert setup.run(plan(12)) is RunState.COMPLETED
         assert "no frame came after number 4: a pulse or frames were lost" in setup.warnings
         assert "[4, 5, 6, 7, 8, 9, 10, 11]" in setup.warnings
