@@ -86,6 +86,30 @@ class EyewearTiming:
     latency_s: float = 0.0
 
 
+def turns_of(timing: EyewearTiming, until_s: float, *, delay_s: float = 0.0) -> list[Edge]:
+    """Return when each eye was told to open, as far as the driver knows: given one by one, or counted from each lock.
+
+    Parameters
+    ----------
+    timing : EyewearTiming
+        What was sent.
+    until_s : float
+        End of the last free run, CLOCK_MONOTONIC seconds.
+    delay_s : float
+        From the turn to the opening of the shutter.
+    """
+    ends_s = [lock.left_s for lock in timing.locks[1:]] + [until_s]
+    counted = [edge for lock, end_s in zip(timing.locks, ends_s, strict=False) for edge in _counted(lock, end_s)]
+    told = sorted([*timing.edges, *counted], key=lambda edge: edge.at_ns)
+    return [Edge(edge.at_ns + round(delay_s * 1e9), edge.eye) for edge in told]
+
+
+def _counted(lock: Lock, end_s: float) -> list[Edge]:
+    eyes: tuple[Eye, Eye] = ("left", "right")
+    count = max(math.floor((end_s - lock.left_s) * lock.refresh_hz + 0.5), 0)
+    return [Edge(round((lock.left_s + n / lock.refresh_hz) * 1e9), eyes[n % 2]) for n in range(count)]
+
+
 @dataclass(frozen=True)
 class PhaseReport:
     """How well the shutters kept to the pictures.
@@ -170,7 +194,7 @@ def phase_report(
         missed=int((met == 0).sum()),
         duplicated=int((met - 1).clip(0).sum()),
         alternation_faults=int((told.left != shown.left[nearest]).sum()),
-        crosstalk=_crosstalk(told, shown, period_s, open_s),
+        crosstalk=_crosstalk(told.later(delay_s), shown, period_s, open_s),
     )
 
 
@@ -180,6 +204,9 @@ class _Train:
 
     at_s: NDArray[np.float64]
     left: NDArray[np.bool_]
+
+    def later(self, by_s: float) -> _Train:
+        return _Train(self.at_s + by_s, self.left)
 
     def between(self, first_s: float, last_s: float) -> _Train:
         inside = (self.at_s >= first_s) & (self.at_s <= last_s)

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from devices.errors import InputError
-from devices.glasses_timing import Edge, Lock, other, phase_report
+from devices.glasses_timing import Edge, EyewearTiming, Lock, other, phase_report, turns_of
 
 PERIOD_MS = 8.0
 
@@ -41,6 +41,20 @@ def test_a_short_window_inside_the_frame_has_no_crosstalk():
     late = train(200, at_ms=lambda n: n * PERIOD_MS + 2)
     assert phase_report(late, FLIPS, open_s=0.005).crosstalk == pytest.approx(0, abs=1e-6)
     assert phase_report(late, FLIPS, open_s=0.008).crosstalk == pytest.approx(2 / 8, rel=0.02)
+
+
+def test_a_delay_that_is_meant_counts_for_crosstalk_all_the_same():
+    late = train(200, at_ms=lambda n: n * PERIOD_MS + 2)
+    assert phase_report(late, FLIPS, delay_s=0.002, open_s=0.005).crosstalk == pytest.approx(0, abs=1e-6)
+    assert phase_report(late, FLIPS, delay_s=0.002, open_s=0.008).crosstalk == pytest.approx(2 / 8, rel=0.02)
+
+
+def test_turns_are_those_given_and_those_counted_from_each_lock():
+    timing = EyewearTiming((Edge(500_000_000, "right"),), 1, (Lock(100.0, 1.0), Lock(100.0, 1.041)))
+    turns = turns_of(timing, 1.06, delay_s=0.001)
+    assert [edge.at_ns // 1_000_000 for edge in turns] == [501, 1001, 1011, 1021, 1031, 1042, 1052]
+    assert [edge.eye for edge in turns] == ["right", "left", "right", "left", "right", "left", "right"]
+    assert turns_of(EyewearTiming(), 1.0) == []
 
 
 def test_drift_is_told_from_jitter_and_gives_the_beat():
