@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import resource
 import subprocess
 import sys
 from typing import TYPE_CHECKING
@@ -17,7 +16,7 @@ from devices.cli import run
 from processing.outputs import FILES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
     from pathlib import Path
 
 PLANES = 9
@@ -204,29 +203,28 @@ def test_results_in_the_way_are_noticed_before_the_work(
     assert focus(stack, "-o", tmp_path / "out", "--overwrite", "-q") == 0
 
 
-@pytest.fixture
-def small_disk(stack: Path, tmp_path: Path) -> Iterator[None]:
-    """A limit of file size stands for the full disk: it refuses the same writes and needs no mount."""
-    focus(stack, "-o", tmp_path / "warm", "-q")  # compiled kernels are on disk before it is full
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (6000, hard))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+def program(*arguments: object, limit_bytes: int | None = None) -> subprocess.CompletedProcess[str]:
+    """Run the program by itself, on request with a limit of file size in place of a full disk.
+
+    The limit refuses the same writes and needs no mount; it must never hold for the tests' own process, whose report
+    may go to a file.
+    """
+    limit = "" if limit_bytes is None else f"import resource as r; r.setrlimit(r.RLIMIT_FSIZE, ({limit_bytes},) * 2); "
+    start = [sys.executable, "-c", f"{limit}from devices.cli import main; main()"]
+    return subprocess.run([*start, "process", "focus", *map(str, arguments)], capture_output=True, text=True)
 
 
-@pytest.mark.usefixtures("small_disk")
-def test_a_full_disk_is_one_clear_line_and_leaves_earlier_results(
-    stack: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    before = {path.name: path.read_bytes() for path in (tmp_path / "warm").iterdir()}
-    assert focus(stack, "-o", tmp_path / "warm", "-q", "--overwrite") == 6
-    assert capsys.readouterr().err.startswith("error[disk-full]: the disk of ")
-    assert {path.name: path.read_bytes() for path in (tmp_path / "warm").iterdir()} == before
+def test_a_full_disk_is_one_clear_line_and_leaves_earlier_results(stack: Path, tmp_path: Path) -> None:
+    results = tmp_path / "out"
+    assert program(stack, "-o", results, "-q").returncode == 0  # compiled kernels are on disk before it is full
+    before = {path.name: path.read_bytes() for path in results.iterdir()}
+    done = program(stack, "-o", results, "-q", "--overwrite", limit_bytes=6000)
+    assert done.returncode == 6
+    assert done.stderr.startswith("error[disk-full]: the disk of ")
+    assert {path.name: path.read_bytes() for path in results.iterdir()} == before
 
 
 def test_the_program_itself(stack: Path, tmp_path: Path) -> None:
-    program = [sys.executable, "-c", "from devices.cli import main; main()"]
-    arguments = ["process", "focus", str(stack), "-o", str(tmp_path / "out"), "-q"]
-    done = subprocess.run([*program, *arguments], capture_output=True, text=True)
+    done = program(stack, "-o", tmp_path / "out", "-q")
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.count("\n") == 1 + len(FILES)
