@@ -66,6 +66,7 @@ COMMAND_HELP = {
     "stage show": "Say where the z stage is.",
     "stage stop": "Stop the z stage at once, past any program that holds it.",
     "stage zero": "Call the present place 0 µm.",
+    "render": "Make a picture of a stack or volume, without a window.",
     "sim": "A simulated bench to put in place of an instrument.",
     "sim serve": "Serve a simulated bench until it is told to end.",
 }

@@ -1,0 +1,131 @@
+"""What has to be said on a picture: scale bar, orientation, colour bars with units, and words. Pure functions.
+
+All of it is one transparent picture that is laid over each eye's view, so that it stands in the screen plane in stereo.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import matplotlib
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from display.light import linear
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from display.modes import Bar, Legend
+    from display.resolve import Camera
+
+    Light = NDArray[np.float32]
+
+LETTERS_SHARE = 1 / 34  # height of letters in pictures
+LEAST_LETTERS_PX = 9
+WHITE, SHADOW = (255, 255, 255, 255), (0, 0, 0, 170)
+AXIS_COLOURS = {"x": (255, 110, 110, 255), "y": (110, 230, 110, 255), "z": (120, 160, 255, 255)}
+NICE = (1, 2, 5)
+
+
+def over(light: Light, overlay: NDArray[np.uint8]) -> Light:
+    """Lay an overlay, RGBA of sRGB levels, over linear light, (height, width, 3)."""
+    share = overlay[..., 3:].astype(np.float32) / 255
+    return np.asarray(light * (1 - share) + linear(overlay[..., :3]) * share, np.float32)
+
+
+def overlay(legend: Legend, camera: Camera, *, unit: str = "µm", depth: str = "z") -> NDArray[np.uint8]:
+    """Return what is said about a picture as an overlay, (height, width, 4) uint8, RGBA.
+
+    Parameters
+    ----------
+    legend : Legend
+        Colour bars and words.
+    camera : Camera
+        For the scale bar and the directions of the axes.
+    unit : str
+        Of lengths.
+    depth : str
+        Name of the axis along the planes.
+    """
+    sheet = Image.new("RGBA", camera.size, (0, 0, 0, 0))
+    draw = ImageDraw.Draw(sheet)
+    letters = max(round(min(camera.size) * LETTERS_SHARE), LEAST_LETTERS_PX)
+    _scale_bar(draw, camera, letters, unit)
+    _tripod(draw, camera, letters, depth)
+    for k, bar in enumerate(legend.bars):
+        _colour_bar(sheet, draw, bar, k, len(legend.bars), letters)
+    for k, words in enumerate(legend.words):
+        _write(draw, (letters * 0.6, letters * (0.5 + 1.25 * k)), words, letters, "la")
+    return np.asarray(sheet)
+
+
+def nice_length(longest: float) -> float:
+    """Return the largest of 1, 2, 5, 10, 20 … that is not longer."""
+    power = 10.0 ** math.floor(math.log10(longest))
+    return max(n * power for n in NICE if n * power <= longest * (1 + 1e-9))
+
+
+def number(value: float) -> str:
+    """Return a number as on a scale."""
+    return f"{value:.4g}"
+
+
+@cache
+def font(letters: int) -> Any:
+    """Return the font that comes with matplotlib, which knows the signs we write."""
+    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts/ttf/DejaVuSans.ttf"), letters)
+
+
+def _write(draw: ImageDraw.ImageDraw, at: tuple[float, float], words: str, letters: int, anchor: str) -> None:
+    draw.text(at, words, WHITE, font(letters), anchor=anchor, stroke_width=max(letters // 8, 1), stroke_fill=SHADOW)
+
+
+def _scale_bar(draw: ImageDraw.ImageDraw, camera: Camera, letters: int, unit: str) -> None:
+    width, height = camera.size
+    length = nice_length(camera.pixel_um * width / 4)
+    pixels = length / camera.pixel_um
+    x, y = width * 0.5 - pixels / 2, height - letters * 0.9
+    thick = max(letters / 5, 2)
+    draw.rectangle((x - 1, y - 1, x + pixels + 1, y + thick + 1), SHADOW)
+    draw.rectangle((x, y, x + pixels, y + thick), WHITE)
+    _write(draw, (x + pixels / 2, y - letters * 0.25), f"{number(length)} {unit}", letters, "md")
+
+
+def _tripod(draw: ImageDraw.ImageDraw, camera: Camera, letters: int, depth: str) -> None:
+    """Draw where x, y and z go; the one that comes towards the viewer last."""
+    reach, middle = letters * 2.2, np.array([letters * 3.2, camera.size[1] - letters * 3.2])
+    right, down = camera.right / camera.pixel_um, camera.down / camera.pixel_um
+    for k in sorted(range(3), key=lambda k: -camera.axis[k]):
+        name = "xyz"[k]
+        way = np.array([right[k], down[k]])
+        tip = middle + reach * way
+        draw.line([*middle, *tip], AXIS_COLOURS[name], width=max(letters // 6, 2))
+        place = middle + (reach + letters * 0.75) * way if np.linalg.norm(way) > 0.2 else middle + letters * 0.7
+        label = depth if name == "z" else name
+        draw.text(
+            tuple(place), label, AXIS_COLOURS[name], font(letters), anchor="mm", stroke_width=1, stroke_fill=SHADOW
+        )
+
+
+def _colour_bar(sheet: Any, draw: ImageDraw.ImageDraw, bar: Bar, place: int, count: int, letters: int) -> None:
+    """Draw an upright bar at the right side, several above each other, with limits, middle and label."""
+    width, height = sheet.size
+    share = 0.8 / count
+    top, tall = height * (0.1 + share * place), height * share - letters * 2.5
+    if tall < letters * 2:
+        return
+    left, thick = width - letters * 1.6, letters * 0.8
+    rows = np.linspace(len(bar.colours) - 1, 0, max(round(tall), 2)).round().astype(int)
+    levels = (np.asarray(bar.colours)[rows] * 255).round().astype(np.uint8)
+    strip = Image.fromarray(np.repeat(levels[:, None], max(round(thick), 1), axis=1))
+    draw.rectangle((left - 1, top - 1, left + strip.width, top + strip.height), outline=WHITE)
+    sheet.paste(strip, (round(left), round(top)))
+    low, high = bar.limits
+    for part in (0.0, 0.5, 1.0):
+        y = top + (1 - part) * (strip.height - 1)
+        _write(draw, (left - letters * 0.4, y), number(low + part * (high - low)), round(letters * 0.8), "rm")
+    _write(draw, (width - letters * 0.6, top + strip.height + letters * 0.5), bar.label, round(letters * 0.8), "ra")

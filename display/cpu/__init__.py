@@ -1,0 +1,35 @@
+"""The second executor: ray casting and slicing by the processor, where OpenGL itself would run on the processor."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import TYPE_CHECKING, Any, cast
+
+import numba
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import TypeVar
+
+    Function = TypeVar("Function", bound=Callable[..., Any])
+
+ROWS = 16  # of a picture, done by one thread at a time
+
+
+def fast(function: Function) -> Function:
+    """Compile to machine code that frees the interpreter and may reorder sums; kept on disk."""
+    made = numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")(function)
+    return cast("Function", made)
+
+
+@cache
+def _workers() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix="rays")
+
+
+def over_rows(height: int, do: Callable[[int, int], object]) -> None:
+    """Call ``do(first, last)`` for bands of rows, on all processors; a failure in one is raised here."""
+    for done in [_workers().submit(do, first, min(first + ROWS, height)) for first in range(0, height, ROWS)]:
+        done.result()

@@ -1,0 +1,1 @@
+"""Everything that knows OpenGL: no other package imports moderngl."""

@@ -1,0 +1,65 @@
+"""Maximum projection against what a loop over voxels finds."""
+
+import numpy as np
+import pytest
+
+from display.light import linear_of
+from display.scene import Band, Layer, Scene, View, Volume, VolumeLook
+
+SHAPE = (11, 24, 30)
+AHEAD = View()
+
+
+def shown(values: np.ndarray, view: View = AHEAD, limits=(0, 255)) -> Scene:
+    return Scene((Layer(Volume((Band(values, limits),)), "mip", VolumeLook()),), view)
+
+
+def noise(seed: int = 3, dtype=np.uint8) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, np.iinfo(dtype).max, SHAPE, dtype, endpoint=True)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_seen_along_the_planes_it_is_the_maximum_of_every_column(renderer, dtype):
+    values = noise(dtype=dtype)
+    full = float(np.iinfo(dtype).max)
+    light = renderer.draw(shown(values, View(pixel_um=1.0), (0, full)), (30, 24))
+    assert np.abs(light[..., 0] - linear_of(values.max(axis=0) / full)).max() < 0.004
+    assert (light[..., :1] == light).all()
+
+
+@pytest.mark.parametrize(("azimuth", "axis", "flip"), [(90, 2, 1), (180, 0, -1), (-90, 2, -1)])
+def test_right_angles_permute_axes(renderer, azimuth, axis, flip):
+    values = noise(5)
+    expected = values.max(axis=axis)
+    expected = (expected.T if axis == 2 else expected)[:, ::flip]
+    light = renderer.draw(shown(values, View(azimuth, pixel_um=1.0)), expected.shape[::-1])
+    assert np.abs(light[..., 0] - linear_of(expected / 255)).max() < 0.004
+
+
+def test_executors_agree_at_any_angle(renderers):
+    values = noise(7)
+    for view in (View(33, 21, 10), View(-70, 50, 0, perspective_deg=40)):
+        levels = [renderers[name].draw(shown(values, view), (96, 64)) for name in ("gl", "cpu")]
+        assert np.abs(levels[0] - levels[1]).max() < 4 / 255
+        assert levels[0].max() > 0.5
+
+
+def test_beside_the_volume_there_is_background(renderer):
+    light = renderer.draw(shown(noise(), View(pixel_um=2.0)), (60, 60))
+    assert light[0].max() == light[-1].max() == 0
+    assert light[30, 30, 0] > 0.5
+
+
+def test_limits_stretch_contrast(renderer):
+    values = np.full(SHAPE, 100, np.uint8)
+    light = renderer.draw(shown(values, View(pixel_um=1.0), (50, 150)), (30, 24))
+    assert np.abs(light[12, 15] - linear_of(np.array(0.5))).max() < 0.004
+
+
+def test_a_volume_larger_than_a_texture_is_refused_in_words(renderers):
+    from devices.errors import DisplayError
+
+    canvas = renderers["gl"].canvas
+    with pytest.raises(DisplayError, match="larger than the") as caught:
+        canvas.volume(np.zeros((1, 1, canvas.largest + 1), np.uint8), smooth=True)
+    assert caught.value.code == "volume-too-large"
