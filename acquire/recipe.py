@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from acquire.optics import depth_of_field_um, nyquist_step_um
 from acquire.plan import DEFAULT_TOLERANCE_NM, Pace, StackPlan, steps_in_range
 from devices.errors import PlanError
-from devices.toml_model import Table, load_model
+from devices.toml_model import Table, load_model, load_text
 from devices.values import to_nm
 
 if TYPE_CHECKING:
@@ -126,10 +126,18 @@ class Recipe(Table):
 
 def load_recipe(path: Path, overrides: tuple[str, ...] = ()) -> Recipe:
     """Read a recipe file for a run; raises `PlanError` with every problem of the file, each with its line."""
-    recipe = load_model(path, Recipe, PlanError, overrides=overrides)
+    return _without_sections(load_model(path, Recipe, PlanError, overrides=overrides), str(path))
+
+
+def recipe_from_text(text: str, name: str, overrides: tuple[str, ...] = ()) -> Recipe:
+    """Read the text of a recipe; ``name`` stands for the file in messages. Raises as `load_recipe` does."""
+    return _without_sections(load_text(text, name, Recipe, PlanError, overrides=overrides), name)
+
+
+def _without_sections(recipe: Recipe, name: str) -> Recipe:
     if recipe.sections is not None:
         raise PlanError(
-            f"{path}: runs with [sections] are not possible yet.",
+            f"{name}: runs with [sections] are not possible yet.",
             why="Nothing would be cut, and a single stack is not what the recipe asks for.",
             fix="leave [sections] out to take one focal stack.",
             code="no-sections",

@@ -132,7 +132,7 @@ def cost_of(plan: StackPlan, spec: RigSpec, caps: CameraCaps | None) -> Estimate
 class Session:
     """A run ready to start. `run` is the engine to pause or cancel; `execute` does everything and returns.
 
-    Made by `new_session` or `resumed_session`.
+    Frames appear in the ring at ``ring_path``. Made by `new_session` or `resumed_session`.
     """
 
     def __init__(
@@ -163,6 +163,7 @@ class Session:
             recorder = Recorder(store, ring, clock, keep_free_bytes=keep_free)
             undo.pop_all()
         self.folder = store.folder
+        self.ring_path = ring.path
         self._observers = _start_observers(recipe, ring.path, store.folder)
         self.run = Run(
             plan,

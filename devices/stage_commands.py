@@ -6,7 +6,7 @@ import json as json_text
 import sys
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -15,6 +15,7 @@ from devices.errors import DeviceError, RigError
 from devices.halt_now import halt_now
 from devices.registry import DeviceContext, factory
 from devices.rig import load_rig
+from devices.travel import CanZero, travel
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -24,17 +25,6 @@ if TYPE_CHECKING:
 
 Instrument = Annotated[Path, Parameter(name=["--instrument", "-i"])]
 Json = Annotated[bool, Parameter(name="--json", negative="")]
-SLOWEST_UM_S = 10.0
-LEAST_TIMEOUT_S = 10.0
-
-
-@runtime_checkable
-class CanZero(Protocol):
-    """A stage whose controller can call the present place zero."""
-
-    def zero_here(self) -> None:
-        """Call the present place 0 µm."""
-        ...
 
 
 def show(*, instrument: Instrument, json: Json = False) -> None:
@@ -160,10 +150,7 @@ def _stage(instrument: Path) -> Iterator[tuple[Stage, AxisSpec]]:
 
 
 def _go(stage: Stage, table: AxisSpec, to_um: float, *, as_json: bool) -> None:
-    """Move and wait, long enough for the slowest sensible speed."""
-    way_um = abs(to_um - stage.position_um())
-    stage.move_to(to_um)
-    _tell(stage, table, stage.settle(LEAST_TIMEOUT_S + way_um / (table.speed_um_s or SLOWEST_UM_S)), as_json=as_json)
+    _tell(stage, table, travel(stage, table, to_um), as_json=as_json)
 
 
 def _tell(stage: Stage, table: AxisSpec, z_um: float, *, as_json: bool) -> None:

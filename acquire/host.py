@@ -1,0 +1,296 @@
+"""The one owner of devices, ring and run: carries out what is asked, and says how things stand."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+from acquire import replies, requests
+from acquire.hands import Hands
+from acquire.hosted_run import HostedRun
+from acquire.lanes import Job, Lane
+from acquire.live import LiveView
+from acquire.stopper import stop_devices
+from devices.errors import DeviceBusy, DeviceError, StereotomeError, Unsafe
+from devices.values import Roi
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from acquire.telemetry import Telemetry
+    from devices.protocols import Clock
+    from devices.rig import Rig
+
+log = logging.getLogger(__name__)
+IDLE = "IDLE"
+LOOK_EVERY_S = 0.2
+FEED_EVERY = 5  # looks at the stage for one at the feed
+AGAIN_S = 0.1  # a stop is said again while the motion it met goes on
+AGAIN = 5
+
+
+class Host:
+    """Requests go to one of three lanes: motion, camera, run. A run has all devices; by hand nothing is moved then.
+
+    Parameters
+    ----------
+    rig : Rig
+        The open instrument.
+    telemetry : Telemetry
+        Told of every change.
+    """
+
+    def __init__(self, rig: Rig, telemetry: Telemetry, clock: Clock) -> None:
+        self._rig = rig
+        self._clock = clock
+        self._telemetry = telemetry
+        self._z_um: float = float("nan")
+        self._z_read_s = clock.now()
+        self._feed_view: replies.FeedView | None = None
+        self._holder = ""
+        self._stops = 0
+        self._stopped = False
+        self._free = threading.Lock()
+        self._by_hand = 0
+        self._run_comes = False
+        self._live_before = False
+        self._hands = Hands(rig)
+        self.live = LiveView(rig.camera, clock, rig.spec.camera.exposure_ms, lambda: self._z_um)
+        self.run = HostedRun(rig, clock, self._run_told, self._run_over)
+        self._lanes = {name: Lane(name, clock) for name in ("motion", "camera", "run")}
+        self._over = threading.Event()
+        self._look_now = threading.Event()
+        self._watch = threading.Thread(target=self._look, name="look", daemon=True)
+        self._watch.start()
+
+    @property
+    def state(self) -> str:
+        """``IDLE``, or the state of the run under way."""
+        view = self.run.view() if self.run.active else None
+        return IDLE if view is None else view.state
+
+    @property
+    def ring(self) -> str:
+        """File of the ring in which frames appear now; empty for none."""
+        return self.run.ring_path or self.live.ring_path
+
+    def held_by(self, holder: str) -> None:
+        """Note who commands."""
+        if holder != self._holder:
+            self._holder = holder
+            self._look_now.set()
+
+    def now(self) -> replies.State:
+        """Return how things stand; asks no device."""
+        known = self._z_um == self._z_um
+        height_width = " x ".join(str(side) for side in self.live.caps.shape)
+        return replies.State(
+            state=self.state,
+            z_um=self._z_um if known else None,
+            z_age_s=round(self._clock.now() - self._z_read_s, 3),
+            live=self.live.running,
+            exposure_ms=self.live.exposure_ms,
+            ring=self.ring,
+            camera=f"{height_width} {self.live.caps.dtype}",
+            holder=self._holder,
+            stopped=self._stopped,
+            run=self.run.view(),
+            feed=self._feed_view,
+            utc_ns=time.time_ns(),
+        )
+
+    def put(self, request: requests.AnyRequest, wait_ms: int, answer: Callable[[replies.AnyReply], None]) -> None:
+        """Have a request carried out in its lane; ``answer`` is called there with what came of it.
+
+        Raises
+        ------
+        DeviceBusy
+            Too much waits already.
+        """
+        stops, lane = self._stops, self._lanes[request.lane]
+        moves = request.lane == "motion" or isinstance(request, requests.StartRun | requests.ContinueRun)
+        lane.put(
+            Job(
+                work=lambda: self._carry_out(request),
+                begin_by_s=self._clock.now() + wait_ms / 1000,
+                wanted=lambda: not moves or stops == self._stops,
+                answer=answer,
+            )
+        )
+
+    def stop_all(self) -> replies.Stopped:
+        """Stop all motion now: every device by its own way past whatever is going on; waits for no lock.
+
+        Motion is refused afterwards until `clear_stop`. May be called by any thread, and again at any time.
+        """
+        self._stops += 1
+        self._stopped = True
+        session = self.run.session() if self.run.active else None
+        told = stop_devices(self._rig, session.run.stop if session else None)
+        for _ in range(AGAIN):  # a motion that was just about to begin when the first word went out
+            if not self._lanes["motion"].busy:
+                break
+            self._clock.sleep(AGAIN_S)
+            stop_devices(self._rig, None)
+        self._look_now.set()
+        return told
+
+    def clear_stop(self) -> None:
+        """Allow motion again."""
+        self._stopped = False
+        self._look_now.set()
+
+    def close(self) -> None:
+        """End the run after its plane, everything else at once."""
+        self.run.end()
+        for lane in self._lanes.values():
+            lane.close()
+        self._over.set()
+        self._look_now.set()
+        self._watch.join()
+        self.live.close()
+
+    def _carry_out(self, request: requests.AnyRequest) -> replies.AnyReply:
+        self._check_expected(request)
+        if request.lane == "run":
+            return self._about_run(request)
+        if self._stopped and request.lane == "motion":
+            raise Unsafe("the instrument was stopped. Nothing moved.", fix="clear the stop first", code="serve-stopped")
+        self._take_by_hand()
+        try:
+            return self._by_hand_do(request)
+        finally:
+            with self._free:
+                self._by_hand -= 1
+            self._look_now.set()
+
+    def _check_expected(self, request: requests.AnyRequest) -> None:
+        state = self.state
+        if request.expect_state not in (None, state):
+            raise _unexpected(f"the state is {state}, not {request.expect_state}")
+        if request.expect_section is not None and request.expect_section != (section := self._section()):
+            raise _unexpected(f"the section is {section}, not {request.expect_section}")
+
+    def _section(self) -> int:
+        view = self.run.view() if self.run.active else None
+        return self._hands.cuts() if view is None else view.section
+
+    def _take_by_hand(self) -> None:
+        with self._free:
+            if self.run.active or self._run_comes:
+                raise DeviceBusy(
+                    "a run has the devices. Nothing was done.", fix="wait for its end, or end it", code="run-active"
+                )
+            self._by_hand += 1
+
+    def _by_hand_do(self, request: requests.AnyRequest) -> replies.AnyReply:
+        match request:
+            case requests.MoveStage():
+                return self._hands.move(request.z_um)
+            case requests.JogStage():
+                return self._hands.jog(request.by_um)
+            case requests.ZeroStage():
+                return self._hands.zero()
+            case requests.ApproachSection():
+                return self._hands.approach(request.depth_um)
+            case requests.FeedSection():
+                return self._hands.feed(request.thickness_nm)
+            case requests.CutSection():
+                return self._hands.cut()
+            case requests.ArmKnife():
+                self._hands.arm()
+                return replies.Done()
+            case _:
+                return self._with_camera(request)
+
+    def _with_camera(self, request: requests.AnyRequest) -> replies.AnyReply:
+        match request:
+            case requests.Snap():
+                return self.live.snap(self._rig.stage.position_um())
+            case requests.StartLive():
+                self.live.start(request.frames_per_s)
+            case requests.StopLive():
+                self.live.stop()
+            case requests.SetCamera():
+                self.live.configure(request.exposure_ms, None if request.roi is None else Roi(*request.roi))
+            case _:
+                raise AssertionError(request)
+        return replies.Done()
+
+    def _about_run(self, request: requests.AnyRequest) -> replies.AnyReply:
+        match request:
+            case requests.StartRun() | requests.ContinueRun():
+                return self._begin(request)
+            case requests.PauseRun():
+                self.run.session().run.pause()
+            case requests.ResumeRun():
+                self.run.session().run.resume()
+            case requests.CancelRun():
+                self.run.session().run.cancel()
+            case _:
+                raise AssertionError(request)
+        self._look_now.set()
+        return replies.Done()
+
+    def _begin(self, request: requests.StartRun | requests.ContinueRun) -> replies.Started:
+        """Take all devices for a run; the live view goes on after it."""
+        if self._stopped:
+            raise Unsafe("the instrument was stopped. Nothing moved.", fix="clear the stop first", code="serve-stopped")
+        with self._free:
+            if self.run.active or self._by_hand:
+                raise DeviceBusy(
+                    "the devices are in use. Nothing was started.", fix="wait, or end it", code="run-active"
+                )
+            self._run_comes = True
+        self._live_before = self.live.running
+        try:
+            self.live.stop()
+            return self.run.start(request) if isinstance(request, requests.StartRun) else self.run.go_on(request)
+        except StereotomeError:
+            self._live_again()
+            raise
+        finally:
+            self._run_comes = False
+            self._look_now.set()
+
+    def _run_told(self, event: dict[str, Any]) -> None:
+        if event["event"] == "plane":
+            self._z_um, self._z_read_s = event["z_um"], self._clock.now()
+        self._telemetry.tell("run", replies.Event(event=event))
+        self._look_now.set()
+
+    def _run_over(self) -> None:
+        self._live_again()
+        self._look_now.set()
+
+    def _live_again(self) -> None:
+        if self._live_before and not self._over.is_set():
+            try:
+                self.live.start(self.live.frames_per_s)
+            except StereotomeError as error:
+                log.warning("live: %s", error.what)
+
+    def _look(self) -> None:
+        """Read the devices now and then while they are free, and tell every change, at least once a second."""
+        looks = 0
+        while not self._over.is_set():
+            self._look_now.wait(LOOK_EVERY_S)
+            self._look_now.clear()
+            if not self.run.active and not self._run_comes:
+                self._read(with_feed=looks % FEED_EVERY == 0)
+            looks += 1
+            self._telemetry.tell("state", self.now())
+
+    def _read(self, *, with_feed: bool) -> None:
+        try:
+            self._z_um, self._z_read_s = self._rig.stage.position_um(), self._clock.now()
+            if with_feed and not self._lanes["motion"].busy:
+                self._feed_view = self._hands.look_at_feed()
+        except DeviceError as error:
+            log.warning("%s", error.what)
+
+
+def _unexpected(what: str) -> Unsafe:
+    return Unsafe(f"{what}. Nothing was done.", fix="look how things stand, then ask again", code="serve-expected")

@@ -1,0 +1,138 @@
+"""The run of an instrument process: one at a time, in a thread of its own, watched through frozen values."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from acquire.engine import FINAL, RunState
+from acquire.recipe import recipe_from_text
+from acquire.replies import RunView, Started
+from acquire.resume import interrupted_run
+from acquire.session import new_session, resumed_session, run_folder
+from devices.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from acquire.requests import ContinueRun, StartRun
+    from acquire.session import Session
+    from devices.protocols import Clock
+    from devices.rig import Rig
+
+log = logging.getLogger(__name__)
+
+
+class HostedRun:
+    """Starts runs and says how the present one, or the last one, stands.
+
+    Parameters
+    ----------
+    tell : callable
+        Told of every event of a run, in the run's thread.
+    ended : callable
+        Called when a run is over, in the run's thread.
+    """
+
+    def __init__(
+        self, rig: Rig, clock: Clock, tell: Callable[[dict[str, Any]], None], ended: Callable[[], None]
+    ) -> None:
+        self._rig = rig
+        self._clock = clock
+        self._tell = tell
+        self._ended = ended
+        self._session: Session | None = None
+        self._name = ""
+        self._number = 0
+        self._thread: threading.Thread | None = None
+        self._started_s = 0.0
+        self._taken_before = 0
+
+    @property
+    def active(self) -> bool:
+        """Whether a run has the devices."""
+        return self._thread is not None
+
+    @property
+    def ring_path(self) -> str:
+        """File of the run's ring; empty without a run."""
+        session = self._session
+        return str(session.ring_path) if session is not None and self.active else ""
+
+    def start(self, asked: StartRun) -> Started:
+        """Begin what a recipe says; raises every problem of recipe, plan and disk before anything moves."""
+        recipe = recipe_from_text(asked.recipe, asked.name, asked.overrides)
+        out = None if asked.out is None else Path(asked.out)
+        folder = run_folder(recipe, self._rig.spec, out, datetime.now(UTC).astimezone())
+        return self._begin(recipe.name, new_session(recipe, self._rig, folder, self._clock, self._tell))
+
+    def go_on(self, asked: ContinueRun) -> Started:
+        """Take what a run lacks."""
+        stored = interrupted_run(Path(asked.folder), None)
+        return self._begin(stored.manifest["name"], resumed_session(stored, self._rig, self._clock, self._tell))
+
+    def session(self) -> Session:
+        """Return the run under way; raises `InputError` when there is none."""
+        if self._session is None or not self.active:
+            raise InputError("no run is under way.", fix="start one", code="no-run-active")
+        return self._session
+
+    def view(self) -> RunView | None:
+        """Return how the run stands, or how the last one ended; None before the first."""
+        session = self._session
+        if session is None:
+            return None
+        status = session.run.status
+        return RunView(
+            number=self._number,
+            name=self._name,
+            folder=str(session.folder),
+            state=str(status.state),
+            phase=str(status.phase),
+            section=0,
+            sections=1,
+            plane=status.plane,
+            planned=status.planned,
+            taken=status.taken,
+            durable=status.durable,
+            missed=len(status.missed),
+            left_s=self._left_s(session),
+        )
+
+    def end(self) -> None:
+        """End the run after the plane in work and wait for it."""
+        thread, session = self._thread, self._session
+        if thread is not None and session is not None:
+            session.run.cancel()
+            thread.join()
+
+    def _begin(self, name: str, session: Session) -> Started:
+        self._name, self._session = name, session
+        self._number += 1
+        self._started_s = self._clock.now()
+        self._taken_before = session.run.status.durable
+        self._thread = threading.Thread(target=self._execute, args=[session], name="run")
+        self._thread.start()
+        return Started(number=self._number, folder=str(session.folder), planned=session.plan.count)
+
+    def _execute(self, session: Session) -> None:
+        try:
+            outcome = session.execute()
+            error = None if outcome.error is None else outcome.error.message()
+            self._tell({"event": "done", "state": str(outcome.state), "folder": str(outcome.folder), "error": error})
+        except Exception:  # the run's thread ends here: the bench must be free again, whatever happened
+            log.exception("a run ended by a bug")
+        finally:
+            self._thread = None
+            self._ended()
+
+    def _left_s(self, session: Session) -> float | None:
+        """Return the time left if planes go on as they came."""
+        status = session.run.status
+        taken, left = status.taken, status.planned - self._taken_before - status.taken
+        if not taken or status.state in FINAL or status.state is RunState.ARMING:
+            return None
+        return (self._clock.now() - self._started_s) / taken * left
