@@ -28,7 +28,9 @@ class Bench:
 
 
 @contextmanager
-def simulated_bench(instrument: Path | None, folder: Path, overrides: Sequence[str] = ()) -> Iterator[Bench]:
+def simulated_bench(
+    instrument: Path | None, folder: Path, overrides: Sequence[str] = (), *, block: bool = False
+) -> Iterator[Bench]:
     """Run the simulated bench while the context lasts; it also ends when this process dies.
 
     Parameters
@@ -39,13 +41,15 @@ def simulated_bench(instrument: Path | None, folder: Path, overrides: Sequence[s
         Where the bench writes its instrument file and its truth.
     overrides : sequence of str
         Values that replace those of the instrument file: ``"optics.na=0.3"``.
+    block : bool
+        Of the bench's own defaults, take the one with a microtome and a block.
 
     Raises
     ------
     DeviceError
         The bench did not start; its own words are passed on.
     """
-    named = [] if instrument is None else [str(instrument)]
+    named = (["--block"] if block else []) if instrument is None else [str(instrument)]
     replaced = [word for given in overrides for word in ("--set", given)]
     process = subprocess.Popen(
         [*PROGRAM, "sim", "serve", *named, *replaced, "--dir", str(folder), "--follow-stdin"],

@@ -172,7 +172,7 @@ class SimSpec(Table):
 
     seed: Annotated[int, Field(ge=0)] = 7
     faults: Annotated[tuple[str, ...], Field(strict=False)] = ()
-    specimen: Literal["relief", "depth"] = "relief"
+    specimen: Literal["relief", "depth", "block"] = "relief"
 
 
 class RigSpec(Table):

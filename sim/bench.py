@@ -1,4 +1,4 @@
-"""One bench: an axis, a specimen, the optics between them, and the two faces of the axis."""
+"""One bench: an axis, a specimen, the optics between them, and the controllers that move and cut."""
 
 from __future__ import annotations
 
@@ -6,9 +6,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from devices.toml_write import toml_text
+from sim.block import Block
+from sim.face_sensor import BlockSpecimen, FaceSensor
+from sim.faults import Faults
+from sim.feed import FeedMachine, Knife, Microtome
+from sim.lamp import Lamp
 from sim.motion import Axis, Ringing
 from sim.optics import Optics
 from sim.sensor import Sensor
+from sim.solid import Solid
 from sim.specimen import make_specimen
 from sim.stages import stage_kind
 
@@ -16,6 +22,8 @@ if TYPE_CHECKING:
     from devices.protocols import Clock
     from devices.rig import RigSpec
     from devices.values import Limits
+    from sim.camera import FrameMaker
+    from sim.feed_line import FeedTwin
     from sim.specimen import Specimen
     from sim.stages import Twin
 
@@ -39,48 +47,75 @@ class Bench:
         The truth about z.
     twin : Twin
         The controller that moves it.
-    specimen : Specimen
+    specimen : Specimen or BlockSpecimen
         What is seen.
-    sensor : Sensor
+    sensor : FrameMaker
         What sees it.
+    feed : FeedTwin or None
+        The drive of the microtome with its knife, if there is one.
     """
 
     spec: RigSpec
     axis: Axis
     twin: Twin
-    specimen: Specimen
-    sensor: Sensor
+    specimen: Specimen | BlockSpecimen
+    sensor: FrameMaker
+    feed: FeedTwin | None = None
 
 
-def build_bench(spec: RigSpec, clock: Clock) -> Bench:
+def build_bench(spec: RigSpec, clock: Clock, faults: Faults | None = None) -> Bench:
     """Build what an instrument file describes; what it leaves open is as on the default bench.
 
     The mechanics ring for as long as ``settle_ms`` says one has to wait. The axis starts at 0 µm, the specimen lies
     around it; in the middle of the limits, if these leave no room there.
     """
+    faults = Faults((), clock) if faults is None else faults
     table, limits = spec.stage.z, spec.stage.z.soft_limits
-    centre_um = _centre_um(limits)
     axis = Axis(
         clock,
         limits,
-        position_um=centre_um,
+        position_um=_centre_um(limits),
         speed_um_s=max(TOP_SPEED_UM_S, table.speed_um_s or 0.0),
         backlash_um=table.backlash_um,
         ringing=Ringing(table.settle_ms / 1000 / RING_OUTS_PER_SETTLE),
     )
-    optics, size_px = spec.optics, spec.camera.size_px or DEFAULT_SIZE_PX
-    pixel_um = spec.object_pixel_um or DEFAULT_PIXEL_UM / optics.magnification
-    specimen = make_specimen(
-        spec.sim.specimen, size_px, pixel_um, seed=spec.sim.seed, centre_um=centre_um, reach_um=_reach_um(limits)
-    )
-    sensor = Sensor(
-        specimen,
-        Optics(optics.na, optics.medium_index, optics.wavelength_um, pixel_um),
-        bit_depth=spec.camera.bit_depth,
-        exposure_ms=spec.camera.exposure_ms,
-        seed=spec.sim.seed,
-    )
-    return Bench(spec, axis, stage_kind(table.driver).make(axis, table), specimen, sensor)
+    block = Block(faults, seed=spec.sim.seed)
+    feed = _feed(spec, clock, block)
+    specimen, sensor = _seen(spec, faults, feed.microtome if feed else _uncut(clock, block))
+    return Bench(spec, axis, stage_kind(table.driver).make(axis, table), specimen, sensor, feed)
+
+
+def _feed(spec: RigSpec, clock: Clock, block: Block) -> FeedTwin | None:
+    if spec.microtome is None:
+        return None
+    from sim.feed_line import build_feed_twin  # noqa: PLC0415  a bench without a microtome does without
+
+    return build_feed_twin(spec.microtome, clock, block)
+
+
+def _uncut(clock: Clock, block: Block) -> Microtome:
+    """Return what holds a block in front of no knife."""
+    machine = FeedMachine(clock, block=block)
+    return Microtome(machine, Knife(clock, machine))
+
+
+def _seen(
+    spec: RigSpec, faults: Faults, microtome: Microtome
+) -> tuple[Specimen, Sensor] | tuple[BlockSpecimen, FaceSensor]:
+    """Make the specimen, and the sensor that looks at it."""
+    lens, size_px, seed = spec.optics, spec.camera.size_px or DEFAULT_SIZE_PX, spec.sim.seed
+    centre_um = _centre_um(spec.stage.z.soft_limits)
+    pixel_um = spec.object_pixel_um or DEFAULT_PIXEL_UM / lens.magnification
+    optics = Optics(lens.na, lens.medium_index, lens.wavelength_um, pixel_um)
+    depth, exposure_ms, lamp = spec.camera.bit_depth, spec.camera.exposure_ms, Lamp(faults, seed=seed)
+    if spec.sim.specimen == "block":
+        block = BlockSpecimen(Solid(seed), size_px, pixel_um, centre_um)
+        return block, FaceSensor(
+            block, microtome, optics, bit_depth=depth, exposure_ms=exposure_ms, seed=seed, lamp=lamp
+        )
+    reach_um = _reach_um(spec.stage.z.soft_limits)
+    specimen = make_specimen(spec.sim.specimen, size_px, pixel_um, seed=seed, centre_um=centre_um, reach_um=reach_um)
+    return specimen, Sensor(specimen, optics, bit_depth=depth, exposure_ms=exposure_ms, seed=seed, lamp=lamp)
 
 
 def instrument_text(bench: Bench, ports: dict[str, str]) -> str:

@@ -7,16 +7,18 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from devices.drivers.cropping import Crop
-from devices.errors import DeviceError, LimitError
+from devices.errors import CameraTimeout, DeviceError, LimitError
 from devices.values import FrameStamp
 
 if TYPE_CHECKING:
     from devices.protocols import FrameSink
     from devices.values import CameraCaps, Roi
+    from sim.faults import Faults
     from sim.motion import Axis
 
 SHORTEST_MS, LONGEST_MS = 0.01, 10_000.0
 NS = 1_000_000_000
+LOSING = {"camera.drop", "camera.hang"}
 
 
 class FrameMaker(Protocol):
@@ -81,6 +83,14 @@ def check_exposure(exposure_ms: float) -> None:
         )
 
 
+def spoil(frame: np.ndarray, before: np.ndarray, kinds: set[str]) -> None:
+    """Do to a frame what faults of these kinds do: repeat the one before, or leave the lower half out."""
+    if "camera.freeze" in kinds:
+        np.copyto(frame, before)
+    if "camera.partial" in kinds:
+        frame[len(frame) // 2 :] = 0
+
+
 class SimCamera:
     """A `devices.protocols.Camera` in the same process as the axis; `trigger` returns after its frame was delivered.
 
@@ -92,15 +102,26 @@ class SimCamera:
         The axis it looks along.
     exposure_ms : float
         Until `configure` says otherwise.
+    faults : Faults, optional
+        What goes wrong with frames.
+
+    Raises
+    ------
+    CameraTimeout
+        From `trigger`: a fault let the frame get lost.
     """
 
-    def __init__(self, maker: FrameMaker, axis: Axis, *, exposure_ms: float = 10.0) -> None:
+    def __init__(
+        self, maker: FrameMaker, axis: Axis, *, exposure_ms: float = 10.0, faults: Faults | None = None
+    ) -> None:
         whole = maker.caps()
         self._crop = Crop(whole)
         self._shutter = Shutter(maker, axis)
         self._clock = axis.clock
         self._exposure_ms = exposure_ms
+        self._faults = faults
         self._pixels = np.empty(whole.shape, whole.dtype)
+        self._last = np.zeros_like(self._pixels)
         self._view = self._pixels.view()
         self._view.flags.writeable = False
         self._sink: FrameSink | None = None
@@ -123,12 +144,17 @@ class SimCamera:
         self._frames_left = float("inf") if frames is None else frames
 
     def trigger(self) -> None:
-        """Expose a frame and deliver it; raises `DeviceError` when not armed for it."""
+        """Expose a frame and deliver it; raises `DeviceError` when not armed for it, or when it is lost."""
         if self._sink is None or self._frames_left < 1:
             raise DeviceError("camera: triggered without being armed for another frame.")
         start_ns, end_ns = self._shutter.expose(self._exposure_ms, self._pixels)
         self._frames_left -= 1
         self._exposed += 1
+        kinds = set() if self._faults is None else self._faults.strike("camera")
+        spoil(self._pixels, self._last, kinds)
+        np.copyto(self._last, self._pixels)
+        if kinds & LOSING:
+            raise CameraTimeout("camera: the frame did not come.", fix="switch the fault off.")
         self._sink(self._crop(self._view), FrameStamp(round(self._clock.now() * NS), self._exposed, start_ns, end_ns))
 
     def stop(self, timeout_s: float) -> None:  # noqa: ARG002  nothing to wait for

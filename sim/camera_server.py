@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from devices.errors import DeviceError, LimitError
-from sim.camera import NS, Shutter, check_exposure
+from sim.camera import NS, Shutter, check_exposure, spoil
 from sim.triggered_camera import Burst
 
 if TYPE_CHECKING:
@@ -116,6 +116,7 @@ class CameraServer:
         self._burst: Burst | None = None
         self._sent, self._acknowledged = 0, 0
         self._spare = np.empty(maker.caps().shape, maker.caps().dtype)
+        self._last = np.zeros_like(self._spare)
         self._axis = axis
         self._faults = faults
         self._caps = maker.caps()
@@ -207,7 +208,10 @@ class CameraServer:
     def _frame(self, slot: int, start_ns: int, end_ns: int) -> Answer | None:
         """Count a frame and return what is told of it, with the faults that strike it; None for one that is lost."""
         self._exposed += 1
-        kinds = {kind.partition(".")[2] for kind in self._faults.strike("camera")}
+        struck = self._faults.strike("camera")
+        kinds = {kind.partition(".")[2] for kind in struck}
+        spoil(self._frames.frames[slot], self._last, struck)
+        np.copyto(self._last, self._frames.frames[slot])
         if "die" in kinds:
             self._hang_up()
         if kinds & {"die", "drop", "hang"}:

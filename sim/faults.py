@@ -1,7 +1,7 @@
 """Faults on purpose, named in words: ``z.late@3``, ``feed.garble@10%``, ``z.stall@12.5um``, ``camera.hang@4``.
 
-Faults of the wire strike replies, those of the camera frames, those of the trigger cables pulses; faults of the
-mechanics are done to a device once, by whoever gave its device to `Faults.when_changed`.
+Faults of the wire strike replies, those of the camera frames, those of the block sections, those of the trigger cables
+pulses; faults of the mechanics are done to a device once, by whoever gave its device to `Faults.when_changed`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from devices.protocols import Clock
 
 LATE_S = 0.7
-NUMBER, SHARE, SECONDS, PLACE, DRIFT = "", "%", "s", "um", "ppm"
+NUMBER, SHARE, SECONDS, PLACE, DRIFT, LENGTH = "", "%", "s", "um", "ppm", "nm"
 ONCE, LASTING = (NUMBER, SHARE), (NUMBER, SECONDS)
 ON_A_WIRE = {"silent": LASTING, "die": LASTING, "drop": ONCE, "late": ONCE, "garble": ONCE, "half": ONCE}
 SERIAL_DEVICES = ("z", "feed", "glasses")
@@ -44,16 +44,28 @@ KINDS: dict[str, tuple[str, ...]] = {
     "camera.hang": LASTING,
     "camera.die": LASTING,
     "camera.pulse-lost": ONCE,
+    "camera.freeze": LASTING,
+    "camera.partial": ONCE,
+    "lamp.bright": (),
+    "lamp.flicker": (SHARE,),
+    "block.debris": ONCE,
+    "block.miss": ONCE,
+    "block.lost": LASTING,
+    "block.stuck": (),
+    "block.uneven": (LENGTH,),
+    "block.drift": (LENGTH,),
+    "block.focus": (LENGTH,),
 }
-SIGNED = {PLACE, DRIFT}
+SIGNED = {PLACE, DRIFT, LENGTH}
 MEANING = {
     NUMBER: "N (the Nth)",
     SHARE: "N% (a share of all)",
     SECONDS: "Ns (seconds after the start)",
     PLACE: "Zum",
     DRIFT: "Nppm",
+    LENGTH: "Nnm",
 }
-_FAULT = re.compile(r"([a-z]+\.[a-z-]+)(?:@(-?\d+(?:\.\d+)?)(um|ppm|s|%|))?")
+_FAULT = re.compile(r"([a-z]+\.[a-z-]+)(?:@(-?\d+(?:\.\d+)?)(um|ppm|nm|s|%|))?")
 
 
 @dataclass(frozen=True)
@@ -193,6 +205,10 @@ class Faults:
     def active(self) -> tuple[Fault, ...]:
         """Return the faults that are on."""
         return tuple(armed.fault for armed in self._armed)
+
+    def number(self, kind: str) -> float | None:
+        """Return the number a fault that is on was given, 0 without one; None when it is off."""
+        return next((fault.when or 0.0 for fault in self.active if fault.kind == kind), None)
 
     def when_changed(self, kind: str, do: Callable[[Fault | None], None]) -> None:
         """Let ``do`` be called with a fault of the mechanics when it goes on, with None when it goes off."""

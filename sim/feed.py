@@ -5,15 +5,18 @@ Nothing is stepped: everything follows from the clock when it is looked at, so a
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from devices.values import Limits
+from sim.block import Block
 from sim.motion import ENDLESS, Axis
 
 if TYPE_CHECKING:
     from devices.protocols import Clock
+    from sim.block import Face
 
 RAMP_S = 0.02
 FOLLOWING_ERROR_S = 0.1
@@ -34,6 +37,8 @@ class FeedMachine:
         Where the limit switches are, from the home switch at 0 µm.
     position_um : float
         Where it stands when power comes on.
+    block : Block, optional
+        What it carries towards the knife.
 
     Attributes
     ----------
@@ -41,8 +46,6 @@ class FeedMachine:
         Motions towards the knife that were begun; a repeated command counts again.
     moves_executed : int
         All motions to a target.
-    removed_um : list of float
-        Thickness of what each stroke of the knife took away.
     """
 
     def __init__(
@@ -52,16 +55,16 @@ class FeedMachine:
         counts_per_um: float = 500.0,
         travel: Limits = Limits(-50.0, 20_500.0),  # noqa: B008  frozen
         position_um: float = 137.0,
+        block: Block | None = None,
     ) -> None:
+        self.block = Block() if block is None else block
         self.clock = clock
         self.counts_per_um = counts_per_um
         self.travel = travel
         self.axis = Axis(clock, ENDLESS, position_um=position_um, speed_um_s=TOP_SPEED_UM_S, ramp_s=RAMP_S)
         self.feeds_executed = self.moves_executed = 0
-        self.removed_um: list[float] = []
         self.trip_at_um: float | None = None
         self._zero_um = position_um
-        self._surface_um: float | None = None
         self._homing = False
         self._homed = False
         self._target_um = position_um
@@ -70,6 +73,11 @@ class FeedMachine:
     def position_um(self) -> float:
         """Where it really is, from the home switch."""
         return self.axis.encoder_um()
+
+    @property
+    def removed_um(self) -> list[float]:
+        """Thickness of what each stroke of the knife took away."""
+        return self.block.removed_um
 
     @property
     def counts(self) -> int:
@@ -141,12 +149,7 @@ class FeedMachine:
 
     def take_off(self, at_s: float) -> None:
         """Let the knife pass at a time of the clock: what stands above its plane is gone."""
-        depth_um = self.axis.load_um(at_s)
-        if self._surface_um is None or depth_um > self._surface_um:
-            self.removed_um.append(depth_um - (depth_um if self._surface_um is None else self._surface_um))
-            self._surface_um = depth_um
-        else:
-            self.removed_um.append(0.0)
+        self.block.stroke(self.axis.load_um(at_s))
 
     def _go(self, target_um: float, speed_um_s: float) -> None:
         self._target_um = target_um
@@ -192,13 +195,15 @@ class Knife:
     jam_holds: bool = False
     _state: Stroke = Stroke.CLEAR
     _ends_s: float = field(default=0.0)
+    _looking: threading.Lock = field(default_factory=threading.Lock)
 
     @property
     def state(self) -> Stroke:
-        """Where it is now."""
-        if self._state in (Stroke.CUTTING, Stroke.PARKING) and self.clock.now() >= self._ends_s:
-            self._arrive()
-        return self._state
+        """Where it is now; the controller and the camera look from threads of their own."""
+        with self._looking:
+            if self._state in (Stroke.CUTTING, Stroke.PARKING) and self.clock.now() >= self._ends_s:
+                self._arrive()
+            return self._state
 
     def cut(self) -> None:
         """Make one stroke; a knife that is not clear, or has no speed, does nothing."""
@@ -233,3 +238,22 @@ class Knife:
             self.cuts_executed += 1
             self.counter += not self.counter_dead
             self.machine.take_off(self._ends_s)
+
+
+@dataclass(frozen=True)
+class Microtome:
+    """A feed with its block, and the knife: together they are the truth about what lies open."""
+
+    machine: FeedMachine
+    knife: Knife
+
+    @property
+    def face(self) -> Face:
+        """What lies open now."""
+        return self.machine.block.face
+
+    @property
+    def height_um(self) -> float:
+        """How far the face stands above the plane in which the knife leaves faces; 0 as long as there was no cut."""
+        surface_um = self.machine.block.surface_um
+        return 0.0 if surface_um is None else self.machine.position_um - surface_um

@@ -7,20 +7,22 @@ Modbus TCP when the twin was made for that.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+from devices.errors import RigError, did_you_mean
 from sim.controllers.applied_motion import AppliedMotionScl
 from sim.controllers.leadshine import LeadshineRs
 from sim.controllers.modbus_frame import RtuServer, TcpServer, written
 from sim.controllers.oriental import OrientalAz
 from sim.controllers.plc import PlcMailbox
 from sim.faults import Delayed, HungUp, PortDied
-from sim.feed import FeedMachine
+from sim.feed import FeedMachine, Microtome
 
 if TYPE_CHECKING:
     from devices.feed_spec import FeedSpec
     from devices.protocols import Clock
+    from sim.block import Block
     from sim.controllers.registers import RegisterTwin, WordOrder
 
 DRIVES: dict[str, type[RegisterTwin]] = {
@@ -78,6 +80,8 @@ class FeedTwin:
         Their numbers on the line; a mailbox drives its knife itself.
     tcp : bool
         Modbus TCP in place of RTU frames.
+    block : Block, optional
+        What the feed carries.
     """
 
     def __init__(
@@ -90,11 +94,13 @@ class FeedTwin:
         tcp: bool = False,
         counts_per_um: float = 500.0,
         word_order: WordOrder = "big",
+        block: Block | None = None,
     ) -> None:
-        self.machine = FeedMachine(clock, counts_per_um=counts_per_um)
+        self.machine = FeedMachine(clock, counts_per_um=counts_per_um, block=block)
         self.drive = DRIVES[profile](self.machine, word_order)
         self.upsets: list[Upset] = []
         self.plc = self.drive if isinstance(self.drive, PlcMailbox) else PlcMailbox(self.machine, cuts_only=True)
+        self.microtome = Microtome(self.machine, self.plc.knife)
         units = {unit: self.drive} | ({knife_unit: self.plc} if knife_unit else {})
         self._server = (TcpServer if tcp else RtuServer)(units, crc_exception=profile == "leadshine-rs")
         self._clock = clock
@@ -121,7 +127,7 @@ class FeedTwin:
         self.drive.power_cycle()
 
     def counters(self) -> dict[str, Any]:
-        """Return the truth: motions, cuts, where it is, and what was taken off."""
+        """Return the truth: motions, cuts, where it is, what was taken off and what lies open."""
         machine, knife = self.machine, self.plc.knife
         return {
             "feeds": machine.feeds_executed,
@@ -130,6 +136,7 @@ class FeedTwin:
             "position_um": machine.position_um,
             "knife": str(knife.state),
             "removed_um": list(machine.removed_um),
+            "face": asdict(machine.block.face),
         }
 
     def _reply(self, unit: int, pdu: bytes) -> Delayed:
@@ -166,9 +173,17 @@ class FeedTwin:
         return Delayed(spoilt, upset.delay_s if upset.kind == "late" else 0.0)
 
 
-def build_feed_twin(spec: FeedSpec, clock: Clock) -> FeedTwin:
-    """Return the twin of an instrument file's ``[microtome]``; raises KeyError for a map of one's own."""
+def build_feed_twin(spec: FeedSpec, clock: Clock, block: Block | None = None) -> FeedTwin:
+    """Return the twin of an instrument file's ``[microtome]``, carrying ``block``.
+
+    Raises
+    ------
+    RigError
+        The register map is no shipped one, and so has no twin.
+    """
     profile = spec.feed_profile()
+    if profile.profile not in DRIVES:
+        raise RigError(f"no simulated feed for the profile '{spec.profile}'{did_you_mean(spec.profile, list(DRIVES))}")
     return FeedTwin(
         profile.profile,
         clock,
@@ -177,4 +192,5 @@ def build_feed_twin(spec: FeedSpec, clock: Clock) -> FeedTwin:
         tcp=profile.link.kind == "tcp",
         counts_per_um=profile.axis.counts_per_um,
         word_order=profile.address.word_order,
+        block=block,
     )

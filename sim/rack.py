@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
-from devices.errors import InputError, RigError, did_you_mean
+from devices.errors import InputError, did_you_mean
 from devices.values import Limits
 from sim.faults import FaultyTwin
 from sim.motion import ENDLESS
@@ -19,11 +19,12 @@ if TYPE_CHECKING:
     from contextlib import ExitStack
     from pathlib import Path
 
-    from devices.feed_spec import FeedSpec
+    from devices.profile import LinkTable
     from devices.protocols import Clock
     from sim.bench import Bench
     from sim.controllers.registers import RegisterTwin, WordOrder
     from sim.faults import Fault, Faults
+    from sim.feed_line import FeedTwin
     from sim.motion import Axis
     from sim.stages import Twin
 
@@ -106,8 +107,9 @@ def fill_rack(bench: Bench, faults: Faults, folder: Path, cleanup: ExitStack, *,
     """Put every device of the bench on its wires; `cleanup` takes them off."""
     spec, rack = bench.spec, {}
     makers: list[Callable[[], Device]] = [lambda: stage_device(bench, faults, folder, tcp=tcp)]
-    if spec.microtome is not None:
-        makers.append(partial(feed_device, spec.microtome, faults, bench.axis.clock, folder))
+    if spec.microtome is not None and bench.feed is not None:
+        link = spec.microtome.feed_profile().link
+        makers.append(partial(feed_device, bench.feed, link, faults, bench.axis.clock, folder))
     if spec.glasses is not None and spec.glasses.driver == "open3d":
         makers.append(partial(glasses_device, faults, bench.axis.clock, folder, tcp=tcp))
     for make in makers:
@@ -128,20 +130,8 @@ def stage_device(bench: Bench, faults: Faults, folder: Path, *, tcp: bool) -> De
     return Device("z", line.tcp_url if tcp else line.port, line, power, pulse)
 
 
-def feed_device(spec: FeedSpec, faults: Faults, clock: Clock, folder: Path) -> Device:
-    """Put the drive of a microtome, and its knife, on a line.
-
-    Raises
-    ------
-    RigError
-        The register map is no shipped one, and so has no twin.
-    """
-    from sim.feed_line import DRIVES, build_feed_twin  # noqa: PLC0415  a bench without a microtome does without
-
-    link = spec.feed_profile().link
-    if spec.feed_profile().profile not in DRIVES:
-        raise RigError(f"no simulated feed for the profile '{spec.profile}'{did_you_mean(spec.profile, list(DRIVES))}")
-    twin = build_feed_twin(spec, clock)
+def feed_device(twin: FeedTwin, link: LinkTable, faults: Faults, clock: Clock, folder: Path) -> Device:
+    """Put the drive of a microtome, and its knife, on a line."""
     power = PowerSwitch(twin)
     line = SerialLine(
         FaultyTwin(power.feed, faults, "feed").feed, link.baud, clock, link=folder / "feed.port", misheard=b""

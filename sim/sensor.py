@@ -11,6 +11,8 @@ from devices.values import CameraCaps
 from sim.optics import FARTHEST_UM, FULL_SCALE, LEVELS, Optics, blurred, level_distances_um
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from sim.specimen import Specimen
 
 NOISE_TILE = 1024
@@ -18,6 +20,53 @@ FULL_WELL_E = 12000.0
 READ_NOISE_E = 4.0
 BLACK_LEVEL = 0.01
 WHITE_LEVEL = 0.85
+
+
+class Film:
+    """Turns light into frames.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Height and width.
+    bit_depth : int
+        8 gives uint8 frames, more gives uint16.
+    exposure_ms : float
+        Exposure for which light of 1 comes near full scale.
+    seed : int
+        Of the noise: the same seed and the same exposures give the same frames.
+    lamp : callable, optional
+        Asked at each exposure for the brightness of the lamp, 1 as a rule.
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        *,
+        bit_depth: int,
+        exposure_ms: float,
+        seed: int,
+        lamp: Callable[[], float] = lambda: 1.0,
+    ) -> None:
+        self.light = np.empty(shape, np.float32)
+        self._shape = shape
+        self._full = float((1 << bit_depth) - 1)
+        self._nominal_ms = exposure_ms
+        self._rng = np.random.default_rng(seed)
+        self._noise = self._rng.standard_normal((NOISE_TILE, NOISE_TILE), np.float32)
+        self._bit_depth = bit_depth
+        self._lamp = lamp
+
+    def caps(self) -> CameraCaps:
+        """Return the shape and type of frames."""
+        height, width = self._shape
+        dtype = "uint8" if self._bit_depth == 8 else "uint16"
+        return CameraCaps("simulated camera", height, width, 1, dtype, self._bit_depth, timed=True)
+
+    def develop(self, exposure_ms: float, out: np.ndarray, *, unit: float = 1.0) -> None:
+        """Fill ``out`` with the frame of `light`, of which ``unit`` is 1."""
+        gain = (WHITE_LEVEL - BLACK_LEVEL) / unit * exposure_ms / self._nominal_ms * self._lamp()
+        _develop(self.light, self._noise, self._rng.integers(0, NOISE_TILE, 2), np.float32(gain), self._full, out)
 
 
 class Sensor:
@@ -29,31 +78,29 @@ class Sensor:
         What is seen.
     optics : Optics
         Through what.
-    bit_depth : int
-        8 gives uint8 frames, more gives uint16.
-    exposure_ms : float
-        Exposure for which a texture of 1 comes near full scale.
-    seed : int
-        Of the noise: the same seed and the same exposures give the same frames.
+    bit_depth, exposure_ms, seed, lamp
+        As in `Film`.
     """
 
-    def __init__(self, specimen: Specimen, optics: Optics, *, bit_depth: int, exposure_ms: float, seed: int) -> None:
+    def __init__(
+        self,
+        specimen: Specimen,
+        optics: Optics,
+        *,
+        bit_depth: int,
+        exposure_ms: float,
+        seed: int,
+        lamp: Callable[[], float] = lambda: 1.0,
+    ) -> None:
         distances_um = level_distances_um()
         self._sheets = [(s.height_um, blurred(s.texture, optics, distances_um)) for s in specimen.sheets]
-        self._shape = specimen.sheets[0].height_um.shape
-        self._light = np.empty(self._shape, np.float32)
-        self._full = float((1 << bit_depth) - 1)
-        self._nominal_ms = exposure_ms
-        self._rng = np.random.default_rng(seed)
-        self._noise = self._rng.standard_normal((NOISE_TILE, NOISE_TILE), np.float32)
-        self._bit_depth = bit_depth
-        self.expose(np.zeros(1), exposure_ms, np.empty(self._shape, self.caps().dtype))  # compiles, once for all
+        shape = specimen.sheets[0].height_um.shape
+        self._film = Film(shape, bit_depth=bit_depth, exposure_ms=exposure_ms, seed=seed, lamp=lamp)
+        self.expose(np.zeros(1), exposure_ms, np.empty(shape, self.caps().dtype))  # compiles, once for all
 
     def caps(self) -> CameraCaps:
         """Return the shape and type of frames."""
-        height, width = self._shape
-        dtype = "uint8" if self._bit_depth == 8 else "uint16"
-        return CameraCaps("simulated camera", height, width, 1, dtype, self._bit_depth, timed=True)
+        return self._film.caps()
 
     def expose(self, path_um: np.ndarray, exposure_ms: float, out: np.ndarray) -> None:
         """Fill ``out`` with the picture of one exposure.
@@ -67,11 +114,10 @@ class Sensor:
         out : ndarray
             (height, width), of the type in `caps`.
         """
-        self._light.fill(0)
+        self._film.light.fill(0)
         for height_um, levels in self._sheets:
-            _add_light(self._light, height_um, levels, path_um.astype(np.float32))
-        gain = (WHITE_LEVEL - BLACK_LEVEL) / (FULL_SCALE * len(path_um)) * exposure_ms / self._nominal_ms
-        _develop(self._light, self._noise, self._rng.integers(0, NOISE_TILE, 2), np.float32(gain), self._full, out)
+            _add_light(self._film.light, height_um, levels, path_um.astype(np.float32))
+        self._film.develop(exposure_ms, out, unit=FULL_SCALE * len(path_um))
 
 
 @njit(nogil=True, fastmath=True, cache=True)

@@ -28,18 +28,20 @@ if TYPE_CHECKING:
     from sim.bench import Bench
 
 DEFAULT_INSTRUMENT = Path(__file__).with_name("default_instrument.toml")
+DEFAULT_BLOCK = Path(__file__).with_name("default_block.toml")
 
 
 def serve(
-    instrument: Annotated[Path, Parameter(show_default=False)] = DEFAULT_INSTRUMENT,
+    instrument: Path | None = None,
     *,
+    block: Annotated[bool, Parameter(negative="", show_default=False)] = False,
     folder: Annotated[Path | None, Parameter(name="--dir")] = None,
     set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="", show_default=False)] = (),
     fault: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = (),
     tcp: Annotated[bool, Parameter(negative="", show_default=False)] = False,
     follow_stdin: Annotated[bool, Parameter(negative="", show_default=False)] = False,
 ) -> int:
-    """Simulate every device of an instrument file, on wires, over a specimen with a known relief, until stopped.
+    """Simulate every device of an instrument file, on wires, over a specimen that is known, until stopped.
 
     Prints one line of JSON that names the instrument file to use with other commands and the control socket, and
     serves until Ctrl-C.
@@ -48,6 +50,8 @@ def serve(
     ----------
     instrument
         The instrument file to stand in for; without it a 20x/0.45 bench of 512 x 512 pixels.
+    block
+        Without an instrument file: put a microtome on the bench, and a block of tissue in front of its knife.
     folder
         Where to write instrument.toml and truth.npz; without it a new one, removed at the end.
     set_
@@ -59,9 +63,9 @@ def serve(
     follow_stdin
         End also when standard input ends, so as never to outlive the program that started this one.
     """
-    spec = load_rig(instrument, set_)
+    spec = load_rig(instrument or (DEFAULT_BLOCK if block else DEFAULT_INSTRUMENT), set_)
     faults = Faults(parse_faults((*spec.sim.faults, *fault)), SystemClock(), seed=spec.sim.seed)
-    bench = build_bench(spec, SystemClock())
+    bench = build_bench(spec, SystemClock(), faults)
     with ExitStack() as cleanup:
         told = _start(bench, faults, cleanup.enter_context(bench_folder(folder)), cleanup, tcp=tcp)
         sys.stdout.write(f"{json.dumps(told)}\n")
