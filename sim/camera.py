@@ -150,12 +150,15 @@ class SimCamera:
         start_ns, end_ns = self._shutter.expose(self._exposure_ms, self._pixels)
         self._frames_left -= 1
         self._exposed += 1
-        kinds = set() if self._faults is None else self._faults.strike("camera")
+        if self._faults is not None:
+            self._spoil(self._faults.strike("camera"))
+        self._sink(self._crop(self._view), FrameStamp(round(self._clock.now() * NS), self._exposed, start_ns, end_ns))
+
+    def _spoil(self, kinds: set[str]) -> None:
         spoil(self._pixels, self._last, kinds)
         np.copyto(self._last, self._pixels)
         if kinds & LOSING:
             raise CameraTimeout("camera: the frame did not come.", fix="switch the fault off.")
-        self._sink(self._crop(self._view), FrameStamp(round(self._clock.now() * NS), self._exposed, start_ns, end_ns))
 
     def stop(self, timeout_s: float) -> None:  # noqa: ARG002  nothing to wait for
         """Deliver no more."""

@@ -116,7 +116,6 @@ class CameraServer:
         self._burst: Burst | None = None
         self._sent, self._acknowledged = 0, 0
         self._spare = np.empty(maker.caps().shape, maker.caps().dtype)
-        self._last = np.zeros_like(self._spare)
         self._axis = axis
         self._faults = faults
         self._caps = maker.caps()
@@ -210,8 +209,7 @@ class CameraServer:
         self._exposed += 1
         struck = self._faults.strike("camera")
         kinds = {kind.partition(".")[2] for kind in struck}
-        spoil(self._frames.frames[slot], self._last, struck)
-        np.copyto(self._last, self._frames.frames[slot])
+        spoil(self._frames.frames[slot], self._frames.frames[slot - 1], struck)
         if "die" in kinds:
             self._hang_up()
         if kinds & {"die", "drop", "hang"}:
