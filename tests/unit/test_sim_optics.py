@@ -71,7 +71,7 @@ def texture() -> np.ndarray:
 
 
 def noiseless(sensor: Sensor) -> Sensor:
-    sensor._noise[:] = 0
+    sensor._film._noise[:] = 0
     return sensor
 
 
