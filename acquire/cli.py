@@ -10,31 +10,51 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from acquire.bench import simulated_bench, simulated_rig
 from acquire.engine import FINAL, RunState
+from acquire.estimate import timed_steps
 from acquire.progress import progress
-from acquire.recipe import Recipe, load_recipe, plan_stack
+from acquire.recipe import Recipe, load_recipe, pace_of, plan_run
 from acquire.recorder import size
 from acquire.resume import interrupted_run
-from acquire.session import Outcome, Session, check_disk, cost_of, new_session, problems, resumed_session, run_folder
+from acquire.run_plan import Kind
+from acquire.session import (
+    Options,
+    Outcome,
+    Session,
+    check_disk,
+    cost_of,
+    new_session,
+    problems,
+    resumed_session,
+    run_folder,
+)
+from acquire.standing import END
 from acquire.store import RunEnd, is_run, open_run
 from devices.clock import SystemClock
 from devices.errors import InputError, PlanError, StereotomeError
+from devices.feed_values import FeedState
+from devices.protocols import Microtome
 from devices.rig import load_rig, open_rig
+from devices.values import to_um
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
+    from contextlib import AbstractContextManager
 
-    from acquire.plan import Estimate, StackPlan
+    from acquire.estimate import Estimate, TimedStep
+    from acquire.run_plan import RunPlan
+    from acquire.state import Question
     from acquire.store import StoredRun
-    from devices.rig import RigSpec
+    from devices.rig import Rig, RigSpec
 
-ENDED_EARLY, STOPPED = 9, 7
+ENDED_EARLY, STOPPED, DISK, ON_HOLD = 9, 7, 6, 11
 CLOCK = SystemClock()
 RIG_TABLES = ("camera", "optics", "stage", "sim")
 
@@ -50,6 +70,7 @@ def run(
     transcript: Path | None = None,
     dry_run: Annotated[bool, Parameter(negative="")] = False,
     yes: Annotated[bool, Parameter(name=["--yes", "-y"], negative="")] = False,
+    on_hold: Literal["ask", "end"] | None = None,
     json_: Annotated[bool, Parameter(name="--json", negative="")] = False,
 ) -> int:
     """Take a stack as a recipe says, or say with --dry-run what would be taken or what a run folder lacks.
@@ -74,6 +95,9 @@ def run(
         List what would be done, and all problems at once; nothing moves.
     yes
         Start without asking.
+    on_hold
+        What becomes of a question of the run: ask at the terminal, or end the run, to be gone on with by --resume.
+        Without it: ask if there is a terminal.
     json_
         Write one JSON object a line to standard output.
     """
@@ -83,16 +107,18 @@ def run(
     loaded = None if recipe is None else load_recipe(recipe, tuple(given for given in set_ if given not in on_rig))
     stored = None if resume is None else interrupted_run(resume, loaded)
     tell = _json_line if json_ else _nothing
+    options = Options(attended=(sys.stdin.isatty() if on_hold is None else on_hold == "ask"))
     events: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
     with ExitStack() as stack:
         spec = _instrument(stack, instrument, on_rig, sim=sim)
         if dry_run and loaded is not None:
             return _dry_run(loaded, spec, out, tell)
         if stored is not None:
-            session = _resumed(stack, stored, spec, transcript, events.put)
+            session = _resumed(stack, stored, spec, transcript, events.put, options)
         else:
-            session = _new(stack, _given(loaded), spec, out, transcript, events.put, ask=not yes)
-        outcome = _execute(session, events, tell, quiet=json_)
+            rig = partial(_open, spec, transcript, home=sim)
+            session = _new(stack, _given(loaded), spec, out, rig, events.put, options, ask=not yes)
+        outcome = _execute(session, events, tell, quiet=json_, attended=options.attended)
     return _report(outcome, tell)
 
 
@@ -107,15 +133,25 @@ def _new(
     recipe: Recipe,
     spec: RigSpec,
     out: Path | None,
-    transcript: Path | None,
+    opened: Callable[[], AbstractContextManager[Rig]],
     tell: Callable[[dict[str, Any]], None],
+    options: Options,
     *,
     ask: bool,
 ) -> Session:
     folder = _ready(recipe, spec, out)
-    rig = stack.enter_context(open_rig(spec, clock=CLOCK, transcript=transcript))
+    rig = stack.enter_context(opened())
     _review(recipe, spec, folder, ask=ask)
-    return new_session(recipe, rig, folder, CLOCK, tell)
+    return new_session(recipe, rig, folder, CLOCK, tell, options)
+
+
+@contextmanager
+def _open(spec: RigSpec, transcript: Path | None, *, home: bool) -> Iterator[Rig]:
+    """Open an instrument; ``home`` consents to the feed's search for its reference, as on a simulated bench."""
+    with open_rig(spec, clock=CLOCK, transcript=transcript) as rig:
+        if home and isinstance(rig.feed, Microtome) and rig.feed.resolve() is not FeedState.READY:
+            rig.feed.home()
+        yield rig
 
 
 def _resumed(
@@ -124,10 +160,11 @@ def _resumed(
     spec: RigSpec,
     transcript: Path | None,
     tell: Callable[[dict[str, Any]], None],
+    options: Options,
 ) -> Session:
     rig = stack.enter_context(open_rig(spec, clock=CLOCK, transcript=transcript))
     sys.stderr.write(f"going on with {stored.folder}; missing: {ranges(stored.missing)}\n")
-    return resumed_session(stored, rig, CLOCK, tell)
+    return resumed_session(stored, rig, CLOCK, tell, options)
 
 
 def _instrument(stack: ExitStack, path: Path | None, overrides: Sequence[str], *, sim: bool) -> RigSpec:
@@ -146,12 +183,12 @@ def _ready(recipe: Recipe, spec: RigSpec, out: Path | None) -> Path:
     now = datetime.now(UTC).astimezone()
 
     def enough_disk() -> None:
-        cost = cost_of(plan_stack(recipe.stack, spec), spec, None)
+        cost = cost_of(plan_run(recipe, spec), spec, None)
         check_disk(run_folder(recipe, spec, out, now), cost, recipe.output.keep_free_gb)
 
     found = problems(
         [
-            lambda: plan_stack(recipe.stack, spec),
+            lambda: plan_run(recipe, spec),
             lambda: run_folder(recipe, spec, out, now),
             enough_disk,
         ]
@@ -169,7 +206,7 @@ def _raise_all(found: list[StereotomeError]) -> None:
 
 
 def _review(recipe: Recipe, spec: RigSpec, folder: Path, *, ask: bool) -> None:
-    plan = plan_stack(recipe.stack, spec)
+    plan = plan_run(recipe, spec)
     sys.stderr.write(f"{recipe.name}: {_summary(plan, cost_of(plan, spec, None))}\n  into {folder}\n")
     if ask and sys.stdin.isatty():
         sys.stderr.write("Start? [Y/n] ")
@@ -178,29 +215,64 @@ def _review(recipe: Recipe, spec: RigSpec, folder: Path, *, ask: bool) -> None:
             raise InputError("not started.", why="The review was answered with no.", code="not-started")
 
 
-def _summary(plan: StackPlan, cost: Estimate) -> str:
-    first, *_, last = [plane.z_um for plane in plan] * 2
+def _summary(plan: RunPlan, cost: Estimate) -> str:
+    first, *_, last = [plane.z_um for plane in plan.stack] * 2
     disk = f"{size(cost.bytes_on_disk)} at most" if cost.bytes_on_disk else "size known once the camera answers"
+    repeated = f"{_repeats(plan)} of " if plan.times > 1 or plan.sections else ""
     return (
-        f"{plan.count} planes from {first:+.3f} to {last:+.3f} µm, step {plan.step_nm / 1000:g} µm, "
-        f"{plan.exposure_ms:g} ms each, about {cost.seconds:.0f} s, {disk}"
+        f"{repeated}{plan.stack.count} planes from {first:+.3f} to {last:+.3f} µm, "
+        f"step {plan.stack.step_nm / 1000:g} µm, {plan.stack.exposure_ms:g} ms each, about {_duration(cost.seconds)}, "
+        f"{cost.dose_s:.3g} s of light on each face, {disk}"
     )
+
+
+def _repeats(plan: RunPlan) -> str:
+    if plan.sections is None:
+        return f"{plan.times} points in time"
+    return f"{plan.times} sections of {plan.sections.thickness_nm} nm ({plan.sections.removals} removals)"
+
+
+def _duration(seconds: float) -> str:
+    """Return a time in words: ``45 s``, ``2 h 05 min``."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    hours, minutes = divmod(round(seconds / 60), 60)
+    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min"
 
 
 def _dry_run(recipe: Recipe, spec: RigSpec, out: Path | None, tell: Callable[[dict[str, Any]], None]) -> int:
     folder = _ready(recipe, spec, out)
-    plan = plan_stack(recipe.stack, spec)
-    cost = cost_of(plan, spec, None)
-    each_s = cost.seconds / plan.count
-    for plane, moves_nm in plan.route():
-        moves_um = [target_nm / 1000 for target_nm in moves_nm]
-        event = {"event": "plan", "plane": plane.index, "z_um": plane.z_um, "moves_um": moves_um}
-        tell({**event, "at_s": round(plane.index * each_s, 2)})
+    plan = plan_run(recipe, spec)
+    for timed in timed_steps(plan, pace_of(spec)):
+        tell(_event_of(timed, plan))
         if tell is _nothing:
-            route = " then ".join(f"{z_um:+.3f}" for z_um in moves_um)
-            sys.stdout.write(f"plane {plane.index:4d}  at {plane.index * each_s:7.1f} s  move to {route} µm, expose\n")
+            sys.stdout.write(_line_of(timed, plan))
+    cost = cost_of(plan, spec, None)
     sys.stderr.write(f"{recipe.name}: {_summary(plan, cost)}\n  would go into {folder}; nothing was moved\n")
     return 0
+
+
+def _event_of(timed: TimedStep, plan: RunPlan) -> dict[str, Any]:
+    step = timed.step
+    event: dict[str, Any] = {"event": "plan", "do": str(step.kind), "at_s": round(timed.at_s, 2)}
+    event |= {"section": step.section} if plan.times > 1 or plan.sections else {}
+    event |= {"moves_um": [to_um(target_nm) for target_nm in step.moves_nm]} if step.moves_nm else {}
+    if step.kind is Kind.EXPOSE:
+        event |= {"plane": step.plane, "band": step.band, "z_um": plan.stack.plane(step.plane).z_um}
+    return event
+
+
+def _line_of(timed: TimedStep, plan: RunPlan) -> str:
+    step = timed.step
+    route = " then ".join(f"{to_um(target_nm):+.3f}" for target_nm in step.moves_nm)
+    where = f"section {step.section:4d}  " if plan.times > 1 or plan.sections else ""
+    band = f" in {plan.bands[step.band].name}" if plan.bands else ""
+    words = {
+        Kind.PARK: f"park at {route} µm",
+        Kind.FEED: f"feed {step.thickness_nm} nm",
+        Kind.EXPOSE: f"plane {step.plane:4d}  {f'move to {route} µm, ' if route else ''}expose{band}",
+    }
+    return f"{where}at {timed.at_s:9.1f} s  {words.get(step.kind, str(step.kind))}\n"
 
 
 @contextmanager
@@ -230,11 +302,12 @@ def _execute(
     tell: Callable[[dict[str, Any]], None],
     *,
     quiet: bool,
+    attended: bool,
 ) -> Outcome:
     with (
         _operator_signals(session),
         ThreadPoolExecutor(1, "run") as engine,
-        progress("planes", session.plan.count, quiet=quiet) as show,
+        progress("planes", len(session.plan), quiet=quiet) as show,
     ):
         result = engine.submit(session.execute)
         while not result.done() or not events.empty():
@@ -244,8 +317,25 @@ def _execute(
                 continue
             tell(event)
             if event["event"] == "plane":
-                show(event["plane"] + 1)
+                show(session.status.taken)
+            elif event["event"] == "hold" and attended:
+                _ask_operator(session)
         return result.result()
+
+
+def _ask_operator(session: Session) -> None:
+    """Put a question to the terminal until it is answered, or the run no longer asks it."""
+    while (question := session.status.question) is not None:
+        choices = "".join(f"  {choice:<10} {meaning}\n" for choice, meaning in question.answers.items())
+        sys.stderr.write(f"\nHOLD [{question.code}]: {question.words}\n{choices}? ")
+        sys.stderr.flush()
+        choice = sys.stdin.readline()
+        try:
+            session.answer(choice.strip() if choice else END)
+        except InputError as error:
+            sys.stderr.write(error.message() + "\n")
+        else:
+            return
 
 
 def _report(outcome: Outcome, tell: Callable[[dict[str, Any]], None]) -> int:
@@ -259,8 +349,16 @@ def _report(outcome: Outcome, tell: Callable[[dict[str, Any]], None]) -> int:
         sys.stdout.write(f"{outcome.folder}\n")
     if outcome.error is not None:
         sys.stderr.write(outcome.error.message() + "\n")
+    if outcome.held is not None:
+        sys.stderr.write(_held(outcome.held, outcome.folder))
     sys.stderr.write(f"{outcome.state}: {_kept(outcome.durable, outcome.planned, missing)}\n")
     return _exit_code(outcome)
+
+
+def _held(question: Question, folder: Path) -> str:
+    """Say what a run waits for."""
+    choices = "".join(f"   or: {choice}: {meaning}\n" for choice, meaning in question.answers.items())
+    return f"hold[{question.code}]: {question.words}\n{choices}  fix: go on and answer: --resume {folder}\n"
 
 
 def _kept(durable: int, planned: int, missing: list[int]) -> str:
@@ -274,6 +372,8 @@ def _exit_code(outcome: Outcome) -> int:
             return 0
         case RunState.COMPLETED_WITH_GAPS:
             return ENDED_EARLY
+        case RunState.HELD:
+            return DISK if outcome.held is not None and outcome.held.code == "disk-full" else ON_HOLD
         case RunState.CANCELLED:
             return STOPPED if outcome.durable else 130
         case _:

@@ -1,83 +1,47 @@
-"""The only interpreter of plans: moves, settles, exposes, and accepts a frame only for the plane it belongs to."""
+"""The only interpreter of plans: goes through the steps of each section and knows what to do when one fails."""
 
 from __future__ import annotations
 
-import threading
-from dataclasses import dataclass, replace
-from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Protocol
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
-from acquire.frame import FrameHeader, Missed
+from acquire.control import Cancelled, Control, Held
+from acquire.frame import Missed
+from acquire.gate import TakesFrames
+from acquire.inspection import Hands, Inspection
+from acquire.recorder import DiskLow
+from acquire.removal import Removal
+from acquire.run_plan import Kind, RunPlan, Step, run_plan
 from acquire.sequence import TriggeredStack
+from acquire.standing import AGAIN, END, ENDS, NOTHING_REMOVED, Standing
+from acquire.state import FINAL, Board, Phase, Question, RunState, RunStatus, Scope
 from acquire.store import RunEnd
-from devices.errors import CameraTimeout, DeviceError, Halted, LinkLost, StageStalled, StereotomeError
+from acquire.taker import CAMERA_STOP_S, Mover, Place, PlaneTaker
+from acquire.verdict import Finding, no_inspection
+from devices.errors import (
+    CameraTimeout,
+    DeviceError,
+    Halted,
+    LinkLost,
+    PlanError,
+    StageStalled,
+    StereotomeError,
+)
 from devices.protocols import HandControls
-from devices.values import to_nm, to_um
+from devices.values import to_um
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
-    import numpy as np
-
-    from acquire.plan import Plane, StackPlan
+    from acquire.plan import StackPlan
     from acquire.sequence import TakenPlane
-    from devices.protocols import Camera, Clock, Stage
-    from devices.values import CameraCaps, FrameStamp
+    from acquire.verdict import Inspect, SectionPlanes
+    from devices.protocols import Camera, Clock, Feed, Stage
 
-STAGE_TRIES = 2
-CAMERA_TRIES = 3
-CAMERA_STOP_S = 2.0
-FIRST_FRAME_S = 5.0
-POLL_S = 0.0005
+__all__ = ["FINAL", "Phase", "Policy", "Run", "RunState", "RunStatus"]
 
-
-class RunState(StrEnum):
-    """Where a run stands; `Run` draws the machine."""
-
-    IDLE = "IDLE"
-    ARMING = "ARMING"
-    RUNNING = "RUNNING"
-    PAUSED = "PAUSED"
-    CANCELLING = "CANCELLING"
-    FINALISING = "FINALISING"
-    COMPLETED = "COMPLETED"
-    COMPLETED_WITH_GAPS = "COMPLETED_WITH_GAPS"
-    CANCELLED = "CANCELLED"
-    FAILED = "FAILED"
-
-
-FINAL = {RunState.COMPLETED, RunState.COMPLETED_WITH_GAPS, RunState.CANCELLED, RunState.FAILED}
-
-
-class Phase(StrEnum):
-    """What a running run does at the moment."""
-
-    WAITING = "waiting"
-    MOVING = "moving"
-    EXPOSING = "exposing"
-    RETURNING = "returning"
-    PERSISTING = "persisting"
-
-
-@dataclass(frozen=True)
-class RunStatus:
-    """A snapshot of a run.
-
-    Attributes
-    ----------
-    plane : int
-        Plane in work, or the last one.
-    taken, durable : int
-        Planes exposed, and planes that are verified on disk.
-    """
-
-    state: RunState
-    phase: Phase
-    plane: int
-    planned: int
-    taken: int
-    durable: int
-    missed: tuple[Missed, ...]
+LEAVE_OUT = "leave-out"
+MOVING = {Phase.MOVING, Phase.SETTLING, Phase.PARKING, Phase.FOCUSING}
 
 
 @dataclass(frozen=True)
@@ -90,18 +54,19 @@ class Policy:
         Record a plane that cannot be taken as missing and go on, instead of ending the run.
     triggered : bool
         Let stage and camera trigger each other; planes that this does not bring are taken one by one.
+    asks : bool
+        Ask the operator where the run would otherwise end.
+    attended : bool
+        Somebody may answer; without, a question ends the run as HELD.
+    accepts : collection of Finding
+        Faults of a face that are noted and left as they are, where the operator would be asked.
     """
 
     gap_on_error: bool = False
     triggered: bool = False
-
-
-class TakesFrames(Protocol):
-    """Whatever a frame can be handed to."""
-
-    def put(self, pixels: np.ndarray, header: FrameHeader) -> None:
-        """Take over one frame; the pixels are copied."""
-        ...
+    asks: bool = False
+    attended: bool = True
+    accepts: frozenset[Finding] = frozenset()
 
 
 class FrameOut(TakesFrames, Protocol):
@@ -125,76 +90,32 @@ class FrameOut(TakesFrames, Protocol):
         ...
 
 
-class _Cancelled(Exception):
-    """The operator ended the run; raised between steps, caught by `Run.execute`."""
+class SectionOut(FrameOut, Protocol):
+    """Where the frames of a run of sections go."""
 
+    def note(self, record: dict[str, Any]) -> None:
+        """Put a record into the journal; it is durable upon return."""
+        ...
 
-class FrameGate:
-    """Lets through the one frame that belongs to the plane being exposed.
+    def settle(self) -> None:
+        """Wait until every frame handed over is durable."""
+        ...
 
-    A frame belongs to a plane if its exposure began after the stage had settled there. Where the camera cannot say
-    when that was, the latest possible beginning is not enough: the earliest is taken, arrival less exposure less
-    readout. Everything else a free-running camera delivers is counted and let go.
-    """
+    def reject(self, slots: Collection[int], reason: str) -> None:
+        """Take planes back: they are to be taken again."""
+        ...
 
-    def __init__(self, out: TakesFrames, caps: CameraCaps, exposure_ms: float) -> None:
-        self._out = out
-        self._caps = caps
-        self._before_arrival_ns = round((exposure_ms + caps.readout_ms) * 1e6)
-        self._header: FrameHeader | None = None
-        self._settled_ns = 0
-        self._error: StereotomeError | None = None
-        self.discarded = 0
+    def check_room(self, frames: int) -> None:
+        """Raise unless that many frames can be kept."""
+        ...
 
-    def expect(self, header: FrameHeader, settled_ns: int) -> None:
-        """Open for the frame of one plane."""
-        self._error = None
-        self._settled_ns = settled_ns
-        self._header = header
+    def commit_section(self, section: int, waived: Collection[int]) -> None:
+        """Record that a section is complete but for ``waived`` planes, and show it to readers."""
+        ...
 
-    def forget(self) -> None:
-        """Close: what comes now belongs to no plane."""
-        self._header = None
-
-    def __call__(self, pixels: np.ndarray, stamp: FrameStamp) -> None:
-        """Take a frame from the camera, in whatever thread it comes."""
-        start_ns = stamp.exposure_start_ns
-        if start_ns is None:
-            start_ns = stamp.arrival_ns - self._before_arrival_ns
-        header = self._header
-        if header is None or start_ns < self._settled_ns:
-            self.discarded += 1
-            return
-        try:
-            self._check_shape(pixels)
-            self._out.put(pixels, _stamped(header, stamp))
-        except StereotomeError as error:
-            self._error = error
-        self._header = None
-
-    def _check_shape(self, pixels: np.ndarray) -> None:
-        if pixels.shape != self._caps.shape or pixels.dtype.name != self._caps.dtype:
-            raise DeviceError(
-                f"camera: a frame of {pixels.shape} {pixels.dtype} came, "
-                f"{self._caps.shape} {self._caps.dtype} was expected.",
-                why="The camera's settings were changed while it was armed.",
-            )
-
-    def passed(self) -> bool:
-        """Tell whether the expected frame was taken; raises what went wrong with it."""
-        if self._error is not None:
-            raise self._error
-        return self._header is None
-
-
-def _stamped(header: FrameHeader, stamp: FrameStamp) -> FrameHeader:
-    return replace(
-        header,
-        exposure_start_ns=stamp.exposure_start_ns or 0,
-        exposure_end_ns=stamp.exposure_end_ns or 0,
-        arrival_ns=stamp.arrival_ns,
-        hw_id=-1 if stamp.hw_id is None else stamp.hw_id,
-    )
+    def planes(self, section: int) -> SectionPlanes:
+        """Return the durable planes of a section."""
+        ...
 
 
 class Run:
@@ -203,280 +124,408 @@ class Run:
     ::
 
         IDLE → ARMING → RUNNING ⇄ PAUSED
-        RUNNING | PAUSED → CANCELLING → FINALISING → CANCELLED
+        RUNNING → HOLD → RUNNING | CANCELLING              a question to the operator
+        RUNNING | PAUSED | HOLD → CANCELLING → FINALISING → CANCELLED
+        RUNNING → FINALISING → HELD                        a question, and nobody to answer it
+        ARMING | RUNNING → FAULTED → FINALISING → FAILED   halted and parked in between
         RUNNING → FINALISING → COMPLETED | COMPLETED_WITH_GAPS
-        ARMING | RUNNING → FINALISING → FAILED
 
     Planes in ``done`` were taken by an earlier part of the run and are passed over.
-    `execute` does all of it in the calling thread; `pause`, `resume`, `cancel` and `stop` may be called from any other.
-    Whatever happens, the stage is told to halt and, unless `stop` was called or the stage failed, goes to the
-    position the plan states.
+    `execute` does all of it in the calling thread; `pause`, `resume`, `cancel`, `stop` and `answer` may be called from
+    any other. Whatever happens, the stage is told to halt and, unless `stop` was called or the stage failed, goes to
+    the position the plan states.
+
+    Parameters
+    ----------
+    feed : Feed, optional
+        Needed by a plan with sections, whose ``out`` has to be a `SectionOut`.
+    inspect : callable
+        Looks at each section before the next is cut.
+    known : Standing
+        What an earlier part of the run did with the feed.
+    committed : int
+        Sections an earlier part of the run completed.
     """
 
     def __init__(
         self,
-        plan: StackPlan,
+        plan: StackPlan | RunPlan,
         stage: Stage,
         camera: Camera,
         out: FrameOut,
         clock: Clock,
         *,
+        feed: Feed | None = None,
         policy: Policy = Policy(),
         done: Collection[int] = (),
+        committed: int = 0,
+        known: Standing = NOTHING_REMOVED,
+        inspect: Inspect = no_inspection,
+        switch_band: Callable[[int], None] = lambda _: None,
         utc_ns: Callable[[], int] = lambda: 0,
         tell: Callable[[dict[str, Any]], None] = lambda _: None,
     ) -> None:
-        self._plan = plan
+        self._plan = run_plan(plan)
         self._stage = stage
         self._camera = camera
+        self._feed = feed
         self._out = out
         self._clock = clock
         self._policy = policy
-        self._before: Plane | None = None
         self._utc_ns = utc_ns
         self._tell = tell
-        self._gate = FrameGate(out, camera.caps(), plan.exposure_ms)
-        self._state = RunState.IDLE
-        self._phase = Phase.WAITING
-        self._plane = 0
-        self._taken = 0
-        self._missed: list[Missed] = []
+        self._switch_band = switch_band
+        self._board = Board()
+        self._control = Control(self._board, clock, note=self._note, tell=self._say, attended=policy.attended)
+        self._mover = Mover(stage, self._control, self._board)
+        self._taker = PlaneTaker(
+            self._plan.stack,
+            stage,
+            camera,
+            out,
+            clock,
+            self._control,
+            self._board,
+            check=self._check_out,
+            utc_ns=utc_ns,
+        )
         self._recorded = set(done)
+        self._committed = committed
+        self._band: int | None = None
         self._triggered = policy.triggered and not self._recorded  # the rest of a run is taken plane by plane
-        self._cancelled = threading.Event()
-        self._stopped = threading.Event()
-        self._paused = threading.Event()
+        self._removal = self._make_removal(known)
+        self._inspection = self._make_inspection(inspect)
+        self._begin_s = clock.now()
         self.error: StereotomeError | None = None
+        self.held: Question | None = None
+        self._steps: dict[Kind, Callable[[Step], None]] = {
+            Kind.WAIT: self._wait,
+            Kind.EXPOSE: self._expose,
+            Kind.COMMIT: self._commit,
+            Kind.INSPECT: lambda step: self._inspection.look(step.section),
+        }
 
     @property
     def status(self) -> RunStatus:
         """Where the run stands now."""
+        board = self._board
         return RunStatus(
-            self._state, self._phase, self._plane, len(self._plan), self._taken, self._out.durable, tuple(self._missed)
+            board.state,
+            board.phase,
+            board.plane,
+            len(self._plan),
+            board.taken,
+            self._out.durable,
+            tuple(board.missed),
+            board.section,
+            self._plan.times,
+            self._control.question,
+            self._control.pausing,
         )
 
-    def pause(self) -> None:
-        """Wait before the next plane until `resume` or `cancel`."""
-        self._paused.set()
+    def pause(self, scope: Scope = Scope.PLANE) -> None:
+        """Wait at the end of the plane, stack or section in work, or before the next cut, until `resume` or `cancel`.
+
+        A feed or cut that has begun is always brought to its end first.
+        """
+        self._control.pause(scope if self._plan.sections else min(scope, Scope.STACK, key=list(Scope).index))
 
     def resume(self) -> None:
         """Go on after `pause`."""
-        self._paused.clear()
+        self._control.resume()
+
+    def answer(self, choice: str) -> None:
+        """Answer the question of a run on HOLD; raises `devices.errors.InputError` if it is no answer to it."""
+        self._control.answer(choice)
 
     def cancel(self) -> None:
-        """End after the exposure in progress; what was taken is kept. A move under way is halted."""
-        self._cancelled.set()
-        if self._phase is Phase.MOVING:
+        """End after the exposure or cut in progress; what was taken is kept. A move of the stage is halted."""
+        self._control.cancel()
+        if self._board.phase in MOVING:
             self._stage.halt()
 
     def stop(self) -> None:
-        """End and stop all motion at once; the stage stays where it is."""
-        self._stopped.set()
-        self._cancelled.set()
-        self._stage.halt()
+        """End and stop all motion at once; everything stays where it is."""
+        self._control.stop()
+        try:
+            self._stage.halt()
+        finally:
+            if self._feed is not None:
+                self._feed.halt()
 
     def execute(self) -> RunState:
-        """Carry out the plan and return how it ended; `error` says why if it FAILED."""
+        """Carry out the plan and return how it ended; `error` says why if it FAILED, `held` what is asked if HELD."""
         end = RunEnd.FAILED
         try:
-            self._enter(RunState.ARMING)
+            self._control.enter(RunState.ARMING)
             self._arm()
-            self._enter(RunState.RUNNING)
-            if self._triggered:
-                self._take_triggered()
-            for plane in self._plan:
-                if plane.index not in self._recorded:
-                    self._take_or_miss(plane)
+            self._control.enter(RunState.RUNNING)
+            self._take_all()
             end = RunEnd.COMPLETED
-        except _Cancelled:
+        except Cancelled:
             end = RunEnd.CANCELLED
+        except Held as held:
+            end, self.held = RunEnd.HELD, held.question
         except StereotomeError as error:
             self._fail(error)
         finally:
             self._leave(end)
-        return self._state
+        return self._board.state
 
-    def _enter(self, state: RunState) -> None:
-        self._state = state
-        self._tell({"event": "state", "state": str(state)})
+    def _make_removal(self, known: Standing) -> Removal | None:
+        if self._plan.sections is None:
+            return None
+        if self._feed is None:
+            raise PlanError("a run of sections needs a feed.", fix="add [microtome] to the instrument file.")
+        return Removal(
+            self._plan.sections,
+            self._mover,
+            self._stage,
+            self._feed,
+            self._clock,
+            self._control,
+            self._board,
+            note=self._note,
+            known=known,
+            asks=self._policy.asks,
+        )
+
+    def _make_inspection(self, inspect: Inspect) -> Inspection:
+        knife = self._removal if self._removal and self._removal.has_knife else None
+        hands = Hands(self._durable_planes, self._retake, knife.sweep if knife else None, self._note, self._say)
+        sweeps = self._plan.sections.sweeps if self._plan.sections else 0
+        accepts = self._policy.accepts
+        return Inspection(inspect, hands, self._control, self._board, sweeps=sweeps, accepts=accepts)
+
+    def _durable_planes(self, section: int) -> SectionPlanes:
+        self._sections.settle()
+        return self._sections.planes(section)
+
+    @property
+    def _sections(self) -> SectionOut:
+        return cast("SectionOut", self._out)  # a plan with sections comes with such an `out`
+
+    def _say(self, event: dict[str, Any]) -> None:
+        self._tell(event)
+
+    def _note(self, record: dict[str, Any]) -> None:
+        """Put a record into the journal, of a run that has one."""
+        note: Callable[[dict[str, Any]], None] | None = getattr(self._out, "note", None)
+        if note is not None:
+            note(record)
+        if self._plan.sections:
+            self._tell({"event": "journal", **record})
 
     def _fail(self, error: StereotomeError) -> None:
-        self.error = self.error or error
+        if self.error is None:
+            self.error = error
+            self._control.enter(RunState.FAULTED)
         self._tell({"event": "error", "code": error.code, "message": str(error)})
 
     def _arm(self) -> None:
         self._plan.check(self._stage.limits)
-        self._camera.configure(exposure_ms=self._plan.exposure_ms)
+        self._camera.configure(exposure_ms=self._plan.exposure_ms(0))
         self._hand_controls(enabled=False)
-        if not self._triggered:
-            self._camera.arm(None, self._gate)
+        if not self._triggered and not self._plan.bands:
+            self._taker.arm()
 
     def _hand_controls(self, *, enabled: bool) -> None:
         if isinstance(self._stage, HandControls):
             self._stage.hand_controls(enabled=enabled)
 
+    def _take_all(self) -> None:
+        if self._removal:
+            self._removal.begin()
+        if self._triggered:
+            self._take_triggered()
+        self._begin_s = self._clock.now()
+        for section in range(self._committed, self._plan.times):
+            self._board.section = section
+            self._control.heed(Scope.SECTION)
+            self._take_section(section)
+
+    def _take_section(self, section: int) -> None:
+        removed = self._removal is None or self._removal.over(section)
+        for step in self._plan.steps(section):
+            if step.kind in self._steps:
+                self._steps[step.kind](step)
+            elif self._removal and not removed:
+                self._remove(self._removal, step)
+
+    def _remove(self, removal: Removal, step: Step) -> None:
+        """Carry out a step of the removal; before the first, the disk must have room for what will be seen."""
+        match step.kind:
+            case Kind.PARK:
+                self._with_room(lambda: self._sections.check_room(self._plan.slots_each))
+                removal.park(step)
+                self._taker.forget_approach()
+            case Kind.FEED:
+                removal.feed(step)
+            case Kind.CUT:
+                removal.cut(step)
+            case Kind.CLEAR:
+                removal.clear(step)
+            case Kind.CLEAN:
+                removal.clean(step)
+            case _:
+                raise AssertionError(step)
+
+    def _wait(self, step: Step) -> None:
+        """Wait until a point in time of a series is due."""
+        assert self._plan.series is not None
+        due_s = self._begin_s + step.section * self._plan.series.interval_ms / 1000
+        self._board.phase = Phase.WAITING
+        while (left_s := due_s - self._clock.now()) > 0:
+            self._control.heed(Scope.SECTION)
+            self._clock.sleep(min(left_s, 0.05))
+
+    def _expose(self, step: Step) -> None:
+        slot = self._plan.slot(step.section, step.band, step.plane)
+        if slot in self._recorded:
+            return
+        if step.plane == 0 and not self._plan.plane_by_plane:
+            self._taker.forget_approach()
+            self._control.heed(Scope.STACK)
+        self._control.heed(Scope.PLANE)
+        self._choose_band(step.band)
+        self._take_or_miss(step)
+
+    def _choose_band(self, band: int) -> None:
+        if self._plan.bands and band != self._band:
+            self._camera.stop(CAMERA_STOP_S)
+            self._switch_band(band)
+            self._taker.arm()
+            self._band = band
+
+    def _retake(self, slots: Collection[int], reason: str) -> None:
+        """Take planes of the section in work again."""
+        self._sections.reject(slots, reason)
+        self._recorded -= set(slots)
+        self._taker.forget_approach()
+        for step in self._plan.steps(self._board.section):
+            if step.kind is Kind.EXPOSE:
+                self._expose(step)
+
+    def _take_or_miss(self, step: Step) -> None:
+        """Take a plane; one that cannot be taken is asked about, or left out, or ends the run, as the policy says."""
+        self._board.plane = step.plane
+        while True:
+            try:
+                self._take(step)
+            except (CameraTimeout, Halted, StageStalled) as error:
+                self._control.checkpoint()  # a halted move ends as a stall: that was the operator, not a fault
+                if self._policy.gap_on_error:
+                    self._miss(step, error)
+                elif not self._policy.asks:
+                    raise
+                elif self._ask_about(step, error) == AGAIN:
+                    continue
+            return
+
+    def _ask_about(self, step: Step, error: DeviceError) -> str:
+        answers = {AGAIN: "take it again", LEAVE_OUT: "leave it out", END: ENDS}
+        choice = self._control.ask(Question(error.code, f"Plane {step.plane} cannot be taken. {error}", answers))
+        self._taker.forget_approach()
+        if choice == LEAVE_OUT:
+            self._miss(step, error)
+        return choice
+
+    def _miss(self, step: Step, error: DeviceError) -> None:
+        missed = Missed(step.plane, error.code, step.section, step.band)
+        self._board.missed.append(missed)
+        self._out.missed(missed)
+        self._tell({"event": "warn", "plane": step.plane, "code": error.code, "message": str(error)})
+
+    def _take(self, step: Step) -> None:
+        plane = self._plan.stack.plane(step.plane)
+        place = Place(step.section, step.band, plane, self._plan.exposure_ms(step.band))
+        self._record(step.section, step.band, step.plane, self._taker.take(place))
+
+    def _record(self, section: int, band: int, plane: int, z_um: float) -> None:
+        self._recorded.add(self._plan.slot(section, band, plane))
+        self._board.taken += 1
+        setpoint_um = to_um(self._plan.stack.z_nm(plane))
+        told = {"event": "plane", "plane": plane, "z_um": z_um, "setpoint_um": setpoint_um}
+        if self._plan.times > 1 or self._plan.bands:
+            told |= {"section": section, "band": band}
+        self._tell(told)
+
+    def _check_out(self) -> None:
+        self._with_room(self._out.check)
+
+    def _with_room(self, check: Callable[[], None]) -> None:
+        """Check the disk; one that fills up is asked about, and waited for, if the policy asks."""
+        while True:
+            try:
+                check()
+            except DiskLow as error:
+                if not self._policy.asks:
+                    raise
+                answers = {AGAIN: "there is space now: go on", END: ENDS}
+                self._control.ask(Question(error.code, f"{error} {error.why}", answers), solved=lambda: _passes(check))
+            else:
+                return
+
+    def _commit(self, step: Step) -> None:
+        """Commit-before-cut: nothing is removed before every plane of the face is durable, accepted or waived."""
+        self._board.phase = Phase.COMMITTING
+        self._sections.settle()
+        waived = [slot for slot in self._plan.slots_of(step.section) if slot not in self._recorded]
+        self._sections.commit_section(step.section, waived)
+        self._tell({"event": "section", "section": step.section, "waived": waived})
+
     def _take_triggered(self) -> None:
         """Take what stage and camera bring about by themselves; a pause is heeded before and after only."""
-        self._wait_while_paused()
-        self._checkpoint()
-        self._phase = Phase.EXPOSING
+        self._control.heed(Scope.PLANE)
+        self._board.phase = Phase.EXPOSING
         stack = TriggeredStack(
-            self._plan,
+            self._plan.stack,
             self._stage,
             self._camera,
             self._out,
             self._clock,
             utc_ns=self._utc_ns,
-            ended=self._cancelled.is_set,
+            ended=lambda: self._control.cancelled,
             took=self._took,
         )
         try:
-            complaint = stack.take(self._move_timeout_s(self._plan.start_nm))
+            complaint = stack.take(self._mover.timeout_s(self._plan.stack.start_nm))
         finally:
-            self._checkpoint()  # a halt ends it as a stall: that was the operator, not a fault
-        left = [plane.index for plane in self._plan if plane.index not in self._recorded]
+            self._control.checkpoint()  # a halt ends it as a stall: that was the operator, not a fault
+        left = [plane.index for plane in self._plan.stack if plane.index not in self._recorded]
         if complaint or left:
             words = f"triggered stack: {complaint or 'frames were lost'}; taken one by one: {left or 'none'}"
-            self._tell({"event": "warn", "plane": self._plane, "code": "stage-sequence", "message": words})
-        self._camera.arm(None, self._gate)
+            self._tell({"event": "warn", "plane": self._board.plane, "code": "stage-sequence", "message": words})
+        self._taker.arm()
 
     def _took(self, place: TakenPlane) -> None:
-        self._plane = place.plane
-        self._record(place.plane, place.z_um)
-
-    def _record(self, plane: int, z_um: float) -> None:
-        self._recorded.add(plane)
-        self._taken += 1
-        setpoint_um = to_um(self._plan.start_nm + plane * self._plan.step_nm)
-        self._tell({"event": "plane", "plane": plane, "z_um": z_um, "setpoint_um": setpoint_um})
-
-    def _checkpoint(self) -> None:
-        if self._cancelled.is_set():
-            raise _Cancelled
-
-    def _wait_while_paused(self) -> None:
-        if not self._paused.is_set():
-            return
-        self._enter(RunState.PAUSED)
-        while self._paused.is_set() and not self._cancelled.is_set():
-            self._clock.sleep(0.01)
-        self._enter(RunState.RUNNING)
-
-    def _take_or_miss(self, plane: Plane) -> None:
-        self._wait_while_paused()
-        self._plane = plane.index
-        try:
-            self._take(plane)
-        except (CameraTimeout, Halted, StageStalled) as error:
-            self._checkpoint()  # a halted move ends as a stall, or is not sent: that was the operator, not a fault
-            if not self._policy.gap_on_error:
-                raise
-            missed = Missed(plane.index, error.code)
-            self._missed.append(missed)
-            self._out.missed(missed)
-            self._tell({"event": "warn", "plane": plane.index, "code": error.code, "message": str(error)})
-
-    def _take(self, plane: Plane) -> None:
-        for attempt in range(CAMERA_TRIES):
-            self._out.check()
-            z_um = self._go_to(plane)
-            if self._expose(plane, z_um, attempt):
-                self._record(plane.index, z_um)
-                return
-            self._checkpoint()
-            self._rearm()
-        raise CameraTimeout(
-            f"camera: no frame for plane {plane.index} after {CAMERA_TRIES} tries of {self._frame_timeout_s():.1f} s.",
-            fix="check the camera's cable, then: stereotome doctor",
-        )
-
-    def _go_to(self, plane: Plane) -> float:
-        """Bring the stage to a plane from its approach side and return where it came to rest, in µm."""
-        self._phase = Phase.MOVING
-        z_um = float("nan")
-        for _ in range(STAGE_TRIES):
-            for target_nm in self._plan.moves_nm(plane, self._before):
-                z_um = self._move(target_nm)
-            self._before = plane
-            if abs(to_nm(z_um) - plane.z_nm) <= self._plan.tolerance_nm:
-                return z_um
-            self._stage.halt()
-            self._before = None
-        raise StageStalled(
-            f"z stage: sent to {plane.z_um:+.3f} µm, it rests at {z_um:+.3f} µm, more than "
-            f"{to_um(self._plan.tolerance_nm):g} µm away.",
-            why="It meets an obstacle, or its motor loses steps.",
-            fix=("look whether something touches the specimen", "set stack.tolerance_um to what the stage can do"),
-        )
-
-    def _move(self, target_nm: int) -> float:
-        self._checkpoint()
-        self._stage.move_to(to_um(target_nm))
-        if self._cancelled.is_set():  # it was set between the check and the move: `cancel` halted too early
-            self._stage.halt()
-        z_um = self._stage.settle(self._move_timeout_s(target_nm))
-        self._checkpoint()
-        return z_um
-
-    def _move_timeout_s(self, target_nm: int) -> float:
-        """Return a cap no honest move reaches; a stage that stands still is noticed much earlier by its driver."""
-        limits = self._stage.limits
-        return 30.0 + (limits.max_um - limits.min_um) / 10.0 + abs(to_um(target_nm)) / 10.0
-
-    def _expose(self, plane: Plane, z_um: float, attempt: int) -> bool:
-        self._phase = Phase.EXPOSING
-        header = FrameHeader(
-            plane=plane.index,
-            setpoint_um=plane.z_um,
-            z_um=z_um,
-            exposure_ms=self._plan.exposure_ms,
-            utc_ns=self._utc_ns(),
-            attempt=attempt,
-        )
-        self._gate.expect(header, round(self._clock.now() * 1e9))
-        try:
-            self._camera.trigger()
-            return self._wait_for_frame()
-        except CameraTimeout:
-            return False
-        finally:
-            self._gate.forget()
-
-    def _frame_timeout_s(self) -> float:
-        base_s = 1.0 if self._taken else FIRST_FRAME_S
-        return max(base_s, 5 * self._plan.exposure_ms / 1000)
-
-    def _wait_for_frame(self) -> bool:
-        deadline = self._clock.now() + self._frame_timeout_s()
-        while not self._gate.passed():
-            if self._clock.now() > deadline or self._stopped.is_set():
-                return False
-            self._clock.sleep(POLL_S)
-        return True
-
-    def _rearm(self) -> None:
-        self._camera.stop(CAMERA_STOP_S)
-        self._camera.arm(None, self._gate)
+        self._board.plane = place.plane
+        self._record(0, 0, place.plane, place.z_um)
 
     def _leave(self, end: RunEnd) -> None:
         """Halt, go back, close the camera's delivery, put the last record: each step even if one before failed."""
-        self._state = RunState.CANCELLING if end is RunEnd.CANCELLED else RunState.FINALISING
+        if end is RunEnd.CANCELLED:
+            self._control.enter(RunState.CANCELLING)
         self._try(self._stage.halt)
         self._try(lambda: self._camera.stop(CAMERA_STOP_S))
         self._try(self._return)
         self._try(lambda: self._hand_controls(enabled=True))
-        self._enter(RunState.FINALISING)
-        self._phase = Phase.PERSISTING
+        self._control.enter(RunState.FINALISING)
+        self._board.phase = Phase.PERSISTING
         if self.error is not None:
             end = RunEnd.FAILED
-        reason = "" if self.error is None else f"{self.error.code}: {self.error}"
         try:
-            self._state = RunState(self._out.finish(end, reason))
+            state = RunState(self._out.finish(end, self._reason()))
         except StereotomeError as error:
             self._fail(error)
-            self._state = RunState.FAILED
-        self._phase = Phase.WAITING
-        self._tell({"event": "state", "state": str(self._state)})
+            state = RunState.FAILED
+        self._board.phase = Phase.WAITING
+        self._control.enter(state)
+
+    def _reason(self) -> str:
+        if self.error is not None:
+            return f"{self.error.code}: {self.error}"
+        return "" if self.held is None else f"{self.held.code}: {self.held.words}"
 
     def _try(self, step: Callable[[], None]) -> None:
         try:
@@ -486,9 +535,19 @@ class Run:
 
     def _return(self) -> None:
         """Go to the stated position, also after an abort; not after `stop`, and not with a stage that failed."""
+        sections = self._plan.sections
+        target_nm = sections.park_nm if sections else self._plan.stack.return_nm
         stage_failed = isinstance(self.error, (LinkLost, StageStalled))
-        if self._plan.return_nm is None or self._stopped.is_set() or stage_failed:
+        if target_nm is None or self._control.stopped or stage_failed:
             return
-        self._phase = Phase.RETURNING
-        self._stage.move_to(to_um(self._plan.return_nm))
-        self._stage.settle(self._move_timeout_s(self._plan.return_nm))
+        self._board.phase = Phase.RETURNING
+        self._stage.move_to(to_um(target_nm))
+        self._stage.settle(self._mover.timeout_s(target_nm))
+
+
+def _passes(check: Callable[[], None]) -> bool:
+    try:
+        check()
+    except StereotomeError:
+        return False
+    return True

@@ -17,8 +17,8 @@ class FrameHeader:
     ----------
     plane : int
         Index of the planned plane, counted from 0 within its section.
-    section, attempt : int
-        Section of the specimen, and how often this plane was exposed before.
+    section, band, attempt : int
+        Section of the specimen or point in time, band within it, and how often this plane was exposed before.
     setpoint_um, z_um : float
         Where the stage was sent, and where it was read back at rest before the exposure.
     exposure_ms : float
@@ -45,6 +45,7 @@ class FrameHeader:
     attempt: int = 0
     hw_id: int = -1
     crc32: int = 0
+    band: int = 0
 
 
 @dataclass(frozen=True)
@@ -63,3 +64,4 @@ class Missed:
     plane: int
     reason: str
     section: int = 0
+    band: int = 0

@@ -6,9 +6,10 @@ import json
 import math
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
     from pathlib import Path
 
 INNER_CHUNK_PX = 512
@@ -17,14 +18,34 @@ SMALL_INNER_CHUNK_PX = 256
 Compression = str  # "lz4" | "zstd" | "none"
 
 
+class HasPlace(Protocol):
+    """A frame's header, or what was missed."""
+
+    @property
+    def section(self) -> int:
+        """Section or point in time."""
+        ...
+
+    @property
+    def band(self) -> int:
+        """Band within it."""
+        ...
+
+    @property
+    def plane(self) -> int:
+        """Plane of the stack."""
+        ...
+
+
 @dataclass(frozen=True)
 class FocalArray:
-    """What the array of a focal stack looks like.
+    """What the array of a run looks like: t is the section or point in time, c the band, z the plane of the stack.
 
     Attributes
     ----------
     planned : int
-        Planes the array is laid out for; the published shape grows up to it.
+        Planes the array is laid out for, all sections and bands together; the published shape grows up to it, in z
+        if there is one section, else in t.
     shape : tuple of int
         One frame: (height, width) or (height, width, bands).
     dtype : str
@@ -33,6 +54,14 @@ class FocalArray:
         Position of plane 0 and signed distance of planes, written as translation and scale of z.
     pixel_um : float or None
         Size of a pixel in the specimen.
+    sections : int
+        Sections, or points in time.
+    channels : tuple of str
+        Names of the bands; empty for one that has none.
+    colours : tuple of str or None
+        ``"#rrggbb"`` of each band.
+    interval_s : float or None
+        From one point in time to the next; None for sections.
     """
 
     planned: int
@@ -42,21 +71,55 @@ class FocalArray:
     step_um: float
     pixel_um: float | None
     compression: Compression = "lz4"
+    sections: int = 1
+    channels: tuple[str, ...] = ()
+    colours: tuple[str | None, ...] = ()
+    interval_s: float | None = None
 
     @property
     def bands(self) -> int:
-        """1 or 3."""
+        """Values of one pixel of a frame: 1, or 3 for a colour camera."""
         return 1 if len(self.shape) == 2 else self.shape[2]
 
-    def array_json(self, planes: int) -> dict[str, Any]:
-        """Return the array's ``zarr.json`` when ``planes`` planes are published."""
+    @property
+    def channel_count(self) -> int:
+        """Bands of the run, at least one; each takes `bands` places of the axis c."""
+        return max(1, len(self.channels))
+
+    @property
+    def slots_each(self) -> int:
+        """Planes of one section, all bands together."""
+        return self.planned // self.sections
+
+    @property
+    def planes_each(self) -> int:
+        """Planes of one stack."""
+        return self.slots_each // self.channel_count
+
+    def place(self, slot: int) -> tuple[int, int, int]:
+        """Return section, band and plane of a slot."""
+        stack, plane = divmod(slot, self.planes_each)
+        return *divmod(stack, self.channel_count), plane
+
+    def slot_of(self, header: HasPlace) -> int:
+        """Return the slot of a frame or of what was missed."""
+        return (header.section * self.channel_count + header.band) * self.planes_each + header.plane
+
+    def extent(self, slots: Collection[int]) -> int:
+        """Return how far the published shape reaches when these slots are to be seen."""
+        axis = 2 if self.sections == 1 else 0
+        return max((self.place(slot)[axis] for slot in slots), default=-1) + 1
+
+    def array_json(self, extent: int) -> dict[str, Any]:
+        """Return the array's ``zarr.json`` when ``extent`` sections, or planes of the only one, are published."""
         height, width = self.shape[:2]
+        times, planes = (1, extent) if self.sections == 1 else (extent, self.planes_each)
         inner = (_inner(height), _inner(width))
         shard = [1, self.bands, 1, *(math.ceil(n / i) * i for n, i in zip((height, width), inner, strict=True))]
         return {
             "zarr_format": 3,
             "node_type": "array",
-            "shape": [1, self.bands, planes, height, width],
+            "shape": [times, self.channel_count * self.bands, planes, height, width],
             "data_type": self.dtype,
             "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": shard}},
             "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
@@ -101,7 +164,7 @@ class FocalArray:
         multiscale = {
             "name": name,
             "axes": [
-                {"name": "t", "type": "time"},
+                {"name": "t", "type": "time", **({"unit": "second"} if self.interval_s else {})},
                 {"name": "c", "type": "channel"},
                 {"name": "z", "type": "space", "unit": "micrometer"},
                 {"name": "y", "type": "space", **lateral},
@@ -111,7 +174,7 @@ class FocalArray:
                 {
                     "path": "0",
                     "coordinateTransformations": [
-                        {"type": "scale", "scale": [1.0, 1.0, self.step_um or 1.0, pixel, pixel]},
+                        {"type": "scale", "scale": [self.interval_s or 1.0, 1.0, self.step_um or 1.0, pixel, pixel]},
                         {"type": "translation", "translation": [0.0, 0.0, self.start_um, 0.0, 0.0]},
                     ],
                 }
@@ -122,11 +185,19 @@ class FocalArray:
         return {"zarr_format": 3, "node_type": "group", "attributes": attributes}
 
     def _channels(self) -> list[dict[str, Any]]:
-        colours = {"red": "FF0000", "green": "00FF00", "blue": "0000FF"}
-        names = {"grey": "FFFFFF"} if self.bands == 1 else colours
         top = 255 if self.dtype == "uint8" else 65535
         window = {"min": 0, "max": top, "start": 0, "end": top}
-        return [{"label": label, "color": color, "window": window, "active": True} for label, color in names.items()]
+        named = [(label, color) for band in range(self.channel_count) for label, color in self._parts(band)]
+        return [{"label": label, "color": color, "window": window, "active": True} for label, color in named]
+
+    def _parts(self, band: int) -> list[tuple[str, str]]:
+        """Return names and colours of the places a band takes on the axis c."""
+        name = self.channels[band] if self.channels else ""
+        if self.bands == 1:
+            colour = (self.colours[band] if self.colours else None) or "#FFFFFF"
+            return [(name or "grey", colour.removeprefix("#").upper())]
+        parts = (("red", "FF0000"), ("green", "00FF00"), ("blue", "0000FF"))
+        return [(f"{name} {part}".strip(), colour) for part, colour in parts]
 
 
 def _little_endian() -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What to take: a focal stack as immutable data that enumerates its planes. Positions are whole nanometres inside."""
+"""A focal stack as immutable data that enumerates its planes. Positions are whole nanometres inside."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from devices.errors import PlanError
 from devices.values import to_nm, to_um
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from devices.values import Limits
 
@@ -34,7 +34,7 @@ class Plane:
 
 @dataclass(frozen=True)
 class StackPlan:
-    """A focal stack of ``count`` planes at ``start + k·step``, in the order in which they are taken.
+    """A focal stack of ``count`` planes at ``start + k·step``, or where it says, in the order in which they are taken.
 
     Attributes
     ----------
@@ -52,6 +52,8 @@ class StackPlan:
         Largest distance between setpoint and readback at which a plane is taken.
     return_nm : int or None
         Where the stage is left afterwards, also after an abort; None stays.
+    positions_nm : tuple of int or None
+        Where each plane is, when not evenly apart; ``start_nm`` is then the first, ``step_nm`` the mean distance.
     """
 
     start_nm: int
@@ -62,6 +64,7 @@ class StackPlan:
     overshoot_nm: int = 0
     tolerance_nm: int = DEFAULT_TOLERANCE_NM
     return_nm: int | None = None
+    positions_nm: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.count < 1:
@@ -70,12 +73,22 @@ class StackPlan:
             raise PlanError("the planes of the stack are 0 µm apart.", fix="give a step of at least 0.001 µm.")
         if not self.exposure_ms > 0:
             raise PlanError(f"exposure {self.exposure_ms:g} ms is not above zero.", fix="set exposure_ms.")
+        if self.positions_nm is not None and len(self.positions_nm) != self.count:
+            raise PlanError(f"the stack has {self.count} planes and {len(self.positions_nm)} positions.")
 
     def __len__(self) -> int:
         return self.count
 
     def __iter__(self) -> Iterator[Plane]:
-        return (Plane(k, self.start_nm + k * self.step_nm) for k in range(self.count))
+        return (self.plane(k) for k in range(self.count))
+
+    def plane(self, index: int) -> Plane:
+        """Return one plane."""
+        return Plane(index, self.z_nm(index))
+
+    def z_nm(self, plane: int) -> int:
+        """Return where a plane is."""
+        return self.start_nm + plane * self.step_nm if self.positions_nm is None else self.positions_nm[plane]
 
     def moves_nm(self, plane: Plane, after: Plane | None) -> tuple[int, ...]:
         """Return the targets visited to reach a plane from its approach side: one or two positions.
@@ -108,15 +121,32 @@ class StackPlan:
         """Return the sum of all moves from plane 0 on, in µm."""
         return sum(abs(to_um(b - a)) for a, b in pairwise(self.targets_nm()))
 
-    def canonical(self) -> dict[str, int | float | None]:
+    def canonical(self) -> dict[str, Any]:
         """Return the plan as plain data."""
-        return asdict(self)
+        told = asdict(self)
+        if self.positions_nm is None:
+            del told["positions_nm"]
+        return told
 
     @property
     def plan_id(self) -> str:
         """sha256 of the canonical JSON: equal plans have equal ids."""
-        text = json.dumps(self.canonical(), sort_keys=True, separators=(",", ":"))
-        return hashlib.sha256(text.encode()).hexdigest()
+        return id_of(self.canonical())
+
+
+def id_of(canonical: dict[str, Any]) -> str:
+    """Return the sha256 of plain data."""
+    text = json.dumps(canonical, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def listed(positions_nm: Sequence[int], exposure_ms: float, **rest: Any) -> StackPlan:
+    """Return a stack of planes at given positions, in the order given."""
+    if not positions_nm:
+        raise PlanError("the list of positions is empty.", fix="give at least one position.")
+    first, last, count = positions_nm[0], positions_nm[-1], len(positions_nm)
+    mean_nm = round((last - first) / max(1, count - 1)) or (1 if count > 1 else 0)
+    return StackPlan(first, mean_nm, count, exposure_ms, positions_nm=tuple(positions_nm), **rest)
 
 
 def steps_in_range(first_um: float, last_um: float, step_um: float) -> tuple[int, int]:
@@ -128,44 +158,3 @@ def steps_in_range(first_um: float, last_um: float, step_um: float) -> tuple[int
     if step_nm == 0:
         raise PlanError(f"step {step_um:g} µm is less than 0.001 µm.", fix="give a larger step.")
     return (step_nm if span_nm >= 0 else -step_nm), abs(span_nm) // step_nm + 1
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """What a plan will cost. Times are sums of the parts that can be known before."""
-
-    planes: int
-    seconds: float
-    bytes_on_disk: int
-    exposure_s: float
-
-
-@dataclass(frozen=True)
-class Pace:
-    """How fast an instrument is, for estimates.
-
-    Attributes
-    ----------
-    speed_um_s : float
-        Speed of the axis.
-    settle_s, overhead_s, readout_s : float
-        Per move: waiting for rest, and the controller's question and answer; per frame: readout.
-    """
-
-    speed_um_s: float
-    settle_s: float
-    overhead_s: float = 0.03
-    readout_s: float = 0.0
-
-
-def estimate(plan: StackPlan, frame_bytes: int, pace: Pace) -> Estimate:
-    """Return planes, time and disk of a plan; disk as if nothing could be compressed."""
-    moves = len(plan.targets_nm())
-    exposure_s = plan.count * plan.exposure_ms / 1000
-    seconds = (
-        plan.travel_um() / pace.speed_um_s
-        + moves * (pace.settle_s + pace.overhead_s)
-        + exposure_s
-        + plan.count * pace.readout_s
-    )
-    return Estimate(plan.count, seconds, plan.count * frame_bytes, exposure_s)

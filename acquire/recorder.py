@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
 
 from acquire.ring import RingFull, RingReader, RingWriter, WriterGone
 from acquire.store import free_bytes
 from devices.errors import StereotomeError, StoreError
 
 if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+
     import numpy as np
 
-    from acquire.frame import FrameHeader, Missed
+    from acquire.frame import Frame, FrameHeader, Missed
     from acquire.store import RunEnd, RunStore
+    from acquire.verdict import SectionPlanes
     from devices.protocols import Clock
 
 GROUP = 8  # planes committed together when frames come faster than the disk can confirm them one by one
@@ -29,6 +33,12 @@ def ring_slots(frame_bytes: int, free_shm_bytes: int) -> int:
     return max(MIN_SLOTS, min(MAX_SLOTS, room // frame_bytes))
 
 
+class DiskLow(StoreError):
+    """The disk has no room for the next frames; nothing failed yet, and nothing is lost if somebody makes room."""
+
+    code = "disk-full"
+
+
 class Recorder:
     """The engine's way to the disk.
 
@@ -40,9 +50,11 @@ class Recorder:
         self._store = store
         self._ring = ring
         self._keep_free_bytes = keep_free_bytes
+        self._frame_bytes = ring.geometry.frame_bytes
+        self._handed_over = self._stored = self._durable = 0
+        self._settled = threading.Condition()
         self._reader = RingReader.attach(ring.path, "lossless", clock=clock)
         self._error: StereotomeError | None = None
-        self._low: StereotomeError | None = None
         self._thread = threading.Thread(target=self._drain, name="writer", daemon=True)
         self._thread.start()
 
@@ -53,9 +65,20 @@ class Recorder:
 
     def check(self) -> None:
         """Raise `StoreError` if the disk failed or is about to be full; called before each exposure."""
-        refusal = self._error or self._low
-        if refusal is not None:
-            raise refusal
+        self.check_room(1)
+
+    def check_room(self, frames: int) -> None:
+        """Raise `StoreError` if the disk failed, or has no room for ``frames`` frames and the reserve."""
+        if self._error is not None:
+            raise self._error
+        under_way = self._handed_over - self._stored
+        free = free_bytes(self._store.folder) - (frames + under_way) * self._frame_bytes
+        if free < self._keep_free_bytes:
+            raise DiskLow(
+                f"data: less than the reserve of {size(self._keep_free_bytes)} would be free on the disk.",
+                why=SAFE_SO_FAR,
+                fix=("free some space", "choose another folder: --out DIR"),
+            )
 
     def put(self, pixels: np.ndarray, header: FrameHeader) -> None:
         """Hand over one frame; raises `StoreError` when the disk failed or cannot keep up."""
@@ -63,6 +86,7 @@ class Recorder:
             raise self._error
         try:
             self._ring.push(pixels, header)
+            self._handed_over += 1
         except RingFull:
             if self._error is not None:  # the writer gave up while this frame waited for its slot
                 raise self._error from None
@@ -70,8 +94,38 @@ class Recorder:
 
     def missed(self, missed: Missed) -> None:
         """Record that a plane stays empty, and why."""
-        event = {"e": "missed", "section": missed.section, "plane": missed.plane, "reason": missed.reason}
-        self._store.journal.append(event)
+        place = {"section": missed.section, "band": missed.band, "plane": missed.plane}
+        self.note({"e": "missed", **place, "reason": missed.reason})
+
+    def note(self, record: dict[str, Any]) -> None:
+        """Put a record into the journal; raises `StoreError` when the disk refuses it."""
+        try:
+            self._store.journal.append(record)
+        except OSError as error:
+            raise disk_failed(error) from error
+
+    def settle(self) -> None:
+        """Wait until every frame handed over is durable; raises what kept one from becoming it."""
+        with self._settled:
+            self._settled.wait_for(lambda: self._error is not None or self._durable == self._handed_over)
+        if self._error is not None:
+            raise self._error
+
+    def reject(self, slots: Collection[int], reason: str) -> None:
+        """Take planes back: they are to be taken again."""
+        self.settle()
+        with _disk_errors():
+            self._store.reject(slots, reason)
+
+    def commit_section(self, section: int, waived: Collection[int]) -> None:
+        """Record that a section is complete but for ``waived`` planes, and show it to readers."""
+        self.settle()
+        with _disk_errors():
+            self._store.commit_section(section, waived)
+
+    def planes(self, section: int) -> SectionPlanes:
+        """Return the durable planes of a section."""
+        return _Durable(self._store, section)
 
     def finish(self, end: RunEnd, reason: str = "") -> RunEnd:
         """Wait until every frame is on disk, write the last record and return how the run really ended."""
@@ -97,6 +151,8 @@ class Recorder:
         except (OSError, ValueError) as error:  # tensorstore wraps what the disk says in ValueError
             self._error = disk_failed(error)
         finally:
+            with self._settled:
+                self._settled.notify_all()
             self._reader.close()
 
     def _store_next(self) -> bool:
@@ -105,17 +161,46 @@ class Recorder:
         except WriterGone:
             return False
         if frame is not None:
-            self._store.put(frame)
+            self._put_twice(frame)
             self._reader.release()
-            self._watch_space()
+            self._stored += 1
         if not self._reader.unread or self._store.pending >= GROUP:
             self._store.commit()
+            with self._settled:
+                self._durable = self._stored
+                self._settled.notify_all()
         return True
 
-    def _watch_space(self) -> None:
-        """Ask the disk after each plane; what is already in the ring is still stored."""
-        if self._low is None and free_bytes(self._store.folder) < self._keep_free_bytes:
-            self._low = disk_full(f"less than the reserve of {size(self._keep_free_bytes)} is free on the disk.")
+    def _put_twice(self, frame: Frame) -> None:
+        """Store a frame; a disk that refuses is asked once more, at the same place."""
+        try:
+            self._store.put(frame)
+        except (OSError, ValueError):
+            self._store.put(frame)
+
+
+class _Durable:
+    """The durable planes of a section, read as they are asked for."""
+
+    def __init__(self, store: RunStore, section: int) -> None:
+        self._store = store
+        self.section = section
+        each = store.layout.slots_each
+        self.slots = tuple(slot for slot in range(section * each, (section + 1) * each) if slot in store.durable_planes)
+
+    def header(self, slot: int) -> FrameHeader:
+        return self._store.record(slot).header
+
+    def pixels(self, slot: int) -> np.ndarray:
+        return self._store.read(slot)
+
+
+@contextmanager
+def _disk_errors() -> Iterator[None]:
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        raise disk_failed(error) from error
 
 
 def size(count: float) -> str:

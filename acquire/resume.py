@@ -6,11 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from acquire.engine import FIRST_FRAME_S, POLL_S, FrameGate
 from acquire.frame import FrameHeader
-from acquire.plan import StackPlan
+from acquire.gate import FrameGate
 from acquire.recipe import Recipe
+from acquire.run_plan import RunPlan, plan_from
+from acquire.standing import Act, standing
 from acquire.store import RunEnd, is_run, open_run
+from acquire.taker import FIRST_FRAME_S, POLL_S
+from devices.bands import choose_bands, switch_band
 from devices.errors import CameraTimeout, InputError, PlanError, StoreError, Unsafe
 from devices.values import to_um
 
@@ -44,8 +47,8 @@ def interrupted_run(folder: Path, recipe: Recipe | None) -> StoredRun:
     stored = open_run(folder)
     if stored.state is RunEnd.RUNNING:
         raise StoreError(f"{folder} is being written by another run.", fix="wait for it to end", code="run-busy")
-    if not stored.missing:
-        raise InputError(f"{folder}: nothing is missing, all planes are durable.", code="nothing-missing")
+    if not resumable(stored):
+        raise InputError(f"{folder}: nothing is missing that can still be taken.", code="nothing-missing")
     if recipe is not None and recipe != stored_recipe(stored):
         raise PlanError(
             f"{folder} was started with another recipe.",
@@ -58,14 +61,23 @@ def interrupted_run(folder: Path, recipe: Recipe | None) -> StoredRun:
     return stored
 
 
+def resumable(stored: StoredRun) -> bool:
+    """Tell whether there is something left to do: of a section whose successor is cut, nothing can be taken."""
+    if stored.state is RunEnd.INTERRUPTED:
+        return True
+    if stored_plan(stored).sections:
+        return stored.committed < stored.layout.sections
+    return bool(stored.missing)
+
+
 def stored_recipe(stored: StoredRun) -> Recipe:
     """Return the recipe a run was started with."""
     return Recipe.model_validate(stored.manifest["recipe"])
 
 
-def stored_plan(stored: StoredRun) -> StackPlan:
+def stored_plan(stored: StoredRun) -> RunPlan:
     """Return the plan of a run."""
-    return StackPlan(**stored.manifest["plan"])
+    return plan_from(stored.manifest["plan"])
 
 
 def check_same_instrument(stored: StoredRun, spec: RigSpec, caps: CameraCaps) -> None:
@@ -89,23 +101,38 @@ def check_same_instrument(stored: StoredRun, spec: RigSpec, caps: CameraCaps) ->
 def check_same_view(stored: StoredRun, rig: Rig, clock: Clock) -> None:
     """Take the last durable plane again and raise `Unsafe` unless it shows the same; a run without planes passes.
 
-    The new picture is compared and forgotten; the plane on disk stays as it is.
+    Of a run of sections only a plane of the face that lies free now can be compared. The new picture is compared and
+    forgotten; the plane on disk stays as it is.
     """
-    if not stored.planes:
+    slot = _comparable(stored)
+    if slot is None:
         return
-    plan, plane = stored_plan(stored), max(stored.planes)
-    z_nm = plan.start_nm + plane * plan.step_nm
-    for target_nm in (z_nm - plan.approach * plan.overshoot_nm, z_nm):
+    plan, header = stored_plan(stored), stored.planes[slot].header
+    z_nm = plan.stack.z_nm(header.plane)
+    for target_nm in (z_nm - plan.stack.approach * plan.stack.overshoot_nm, z_nm):
         rig.stage.move_to(to_um(target_nm))
         rig.stage.settle(60.0)
-    likeness = correlation(_snap(rig, clock, plan.exposure_ms), stored.read(plane))
+    if plan.bands:
+        switch_band(rig.camera, choose_bands(rig.spec.band, [plan.bands[header.band].name])[0], header.exposure_ms)
+    likeness = correlation(_snap(rig, clock, header.exposure_ms), stored.read(slot))
     if not likeness >= SAME_VIEW:
         raise Unsafe(
-            f"plane {plane} does not look as it did: correlation {likeness:.2f}, at least {SAME_VIEW:g} is expected.",
+            f"plane {slot} does not look as it did: correlation {likeness:.2f}, at least {SAME_VIEW:g} is expected.",
             why="The specimen, the light or the focus changed since; later planes would not fit the earlier ones.",
             fix=("bring back the view, then try again", "start a new run"),
             code="other-view",
         )
+
+
+def _comparable(stored: StoredRun) -> int | None:
+    """Return the last durable plane of what lies before the camera now; None if nothing of it was taken."""
+    last = max(stored.planes, default=None)
+    if last is None or stored_plan(stored).sections is None:
+        return last
+    now = standing(stored.records)
+    face_is_out = now.cleared or now.feed is Act.PENDING
+    section = now.section if now.cleared else now.section - 1
+    return last if face_is_out and stored.layout.place(last)[0] == section else None
 
 
 def correlation(live: np.ndarray, stored: np.ndarray) -> float:

@@ -91,7 +91,7 @@ class SequenceGate:
         self.frames_seen = max(self.frames_seen, number + 1)
 
     def _take(self, plane: int, pixels: np.ndarray, stamp: FrameStamp) -> None:
-        setpoint_nm = self.plan.start_nm + plane * self.plan.step_nm
+        setpoint_nm = self.plan.z_nm(plane)
         z_um = self._read_during(stamp)
         if z_um is not None and abs(to_nm(z_um) - setpoint_nm) > self.plan.tolerance_nm:
             self.astray[plane] = z_um

@@ -11,29 +11,37 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from acquire.engine import Policy, Run, RunState
+from acquire.estimate import Estimate, estimate
 from acquire.observe import Observer
 from acquire.ome_zarr import FocalArray
-from acquire.plan import Estimate, estimate
-from acquire.recipe import pace_of, plan_stack
+from acquire.recipe import pace_of, plan_run
 from acquire.recorder import Recorder, disk_full, ring_slots, size
 from acquire.resume import check_same_instrument, check_same_view, stored_plan, stored_recipe
 from acquire.ring import RingWriter, shared_memory_folder
 from acquire.ring_janitor import sweep_stale
 from acquire.sequence import check_triggered
+from acquire.standing import Standing, standing
+from acquire.state import Scope
 from acquire.store import RunStore, free_bytes
+from acquire.verdict import no_inspection
+from devices.bands import choose_bands, switch_band
+from devices.clock import SystemClock
 from devices.errors import InputError, PlanError, StereotomeError
 from devices.values import to_um
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from acquire.plan import StackPlan
     from acquire.recipe import Recipe
+    from acquire.run_plan import RunPlan
+    from acquire.state import Question, RunStatus
     from acquire.store import StoredRun
+    from acquire.verdict import Inspect
     from devices.protocols import Clock
     from devices.rig import Rig, RigSpec
     from devices.values import CameraCaps
 
+SHARED_TIME = SystemClock()  # of ring and recorder: other processes and threads wait on the same, whatever the run's is
 DISK_MARGIN = 1.05
 OBSERVER_START_S = 30.0
 OBSERVER_END_S = 300.0
@@ -50,6 +58,7 @@ class Outcome:
     durable: int
     planned: int
     warnings: tuple[str, ...]
+    held: Question | None = None
 
 
 def run_folder(recipe: Recipe, spec: RigSpec, out: Path | None, now: datetime) -> Path:
@@ -121,7 +130,7 @@ def problems(checks: list[Callable[[], object]]) -> list[StereotomeError]:
     return found
 
 
-def cost_of(plan: StackPlan, spec: RigSpec, caps: CameraCaps | None) -> Estimate:
+def cost_of(plan: RunPlan, spec: RigSpec, caps: CameraCaps | None) -> Estimate:
     """Return what a plan costs; without a connected camera the frame size of the instrument file is taken."""
     if caps is not None:
         return estimate(plan, caps.frame_bytes, pace_of(spec))
@@ -129,38 +138,65 @@ def cost_of(plan: StackPlan, spec: RigSpec, caps: CameraCaps | None) -> Estimate
     return estimate(plan, width * height * (1 if spec.camera.bit_depth == 8 else 2), pace_of(spec))
 
 
-class Session:
-    """A run ready to start. `run` is the engine to pause or cancel; `execute` does everything and returns.
+@dataclass(frozen=True)
+class Options:
+    """What whoever starts a session may choose, beside the recipe.
 
-    Frames appear in the ring at ``ring_path``. Made by `new_session` or `resumed_session`.
+    Attributes
+    ----------
+    inspect : callable
+        Looks at each section before the next is cut; see `acquire.verdict`.
+    attended : bool
+        Somebody may answer questions; without, a question ends the run as HELD.
+    """
+
+    inspect: Inspect = no_inspection
+    attended: bool = True
+
+
+class Session:
+    """A run ready to start: `execute` does everything and returns; all else may be called from any thread.
+
+    Made by `new_session` or `resumed_session`.
+
+    Attributes
+    ----------
+    plan : RunPlan
+        What is taken.
+    folder, ring_path : Path
+        Where it goes, and the ring in which its frames appear.
+    run : Run
+        The engine.
     """
 
     def __init__(
         self,
         recipe: Recipe,
         rig: Rig,
-        plan: StackPlan,
+        plan: RunPlan,
         make_store: Callable[[CameraCaps], RunStore],
         clock: Clock,
         tell: Callable[[dict[str, Any]], None],
+        *,
+        options: Options = Options(),
+        stored: StoredRun | None = None,
     ) -> None:
         self.plan = plan
         triggered = recipe.stack.trigger == "hardware"
         if triggered:
-            check_triggered(plan, rig.stage, rig.camera)
+            check_triggered(plan.stack, rig.stage, rig.camera)
         self._tell = tell
-        rig.camera.configure(exposure_ms=plan.exposure_ms)  # what it refuses is known before anything is written
+        rig.camera.configure(exposure_ms=plan.exposure_ms(0))  # what it refuses is known before anything is written
         caps = rig.camera.caps()
         sweep_stale(shared_memory_folder())
         with ExitStack() as undo:
             slots = ring_slots(caps.frame_bytes, free_bytes(shared_memory_folder()))
-            ring = RingWriter.create("run", caps.shape, caps.dtype, slots, clock=clock)
+            ring = RingWriter.create("run", caps.shape, caps.dtype, slots, clock=SHARED_TIME)
             undo.callback(ring.close)
             store = make_store(caps)
             undo.callback(store.close)
-            done = store.durable_planes
             keep_free = round(recipe.output.keep_free_gb * 1e9)
-            recorder = Recorder(store, ring, clock, keep_free_bytes=keep_free)
+            recorder = Recorder(store, ring, SHARED_TIME, keep_free_bytes=keep_free)
             undo.pop_all()
         self.folder = store.folder
         self.ring_path = ring.path
@@ -171,41 +207,103 @@ class Session:
             rig.camera,
             recorder,
             clock,
-            policy=Policy(gap_on_error=recipe.stack.on_plane_error == "gap", triggered=triggered),
-            done=done,
+            feed=rig.feed,
+            policy=_policy(recipe, options, triggered=triggered),
+            done=store.durable_planes,
+            committed=0 if stored is None else stored.committed,
+            known=Standing() if stored is None else standing(stored.records),
+            inspect=options.inspect,
+            switch_band=_band_switch(plan, rig),
             utc_ns=time.time_ns,
             tell=tell,
         )
 
+    @property
+    def status(self) -> RunStatus:
+        """Where the run stands now."""
+        return self.run.status
+
+    def pause(self, scope: Scope = Scope.PLANE) -> None:
+        """Pause at the end of the plane, stack or section in work, or before the next cut."""
+        self.run.pause(scope)
+
+    def resume(self) -> None:
+        """Go on after `pause`."""
+        self.run.resume()
+
+    def cancel(self) -> None:
+        """End after the exposure or cut in progress; what was taken is kept."""
+        self.run.cancel()
+
+    def stop(self) -> None:
+        """End and stop all motion at once."""
+        self.run.stop()
+
+    def answer(self, choice: str) -> None:
+        """Answer the question of a run on HOLD."""
+        self.run.answer(choice)
+
     def execute(self) -> Outcome:
-        """Take the stack, wait for the observers, and return how it ended."""
+        """Take everything, wait for the observers, and return how it ended."""
         warnings = [
             f"{observer.name} is late: it will catch up from the disk."
             for observer in self._observers
             if not observer.wait_until_ready(OBSERVER_START_S)
         ]
-        self._tell({"event": "start", "folder": str(self.folder), "planned": self.plan.count})
+        self._tell({"event": "start", "folder": str(self.folder), "planned": len(self.plan)})
         state = self.run.execute()
         warnings += [said for observer in self._observers if (said := observer.finish(OBSERVER_END_S))]
         status = self.run.status
-        return Outcome(state, self.run.error, self.folder, status.durable, status.planned, tuple(warnings))
+        return Outcome(
+            state, self.run.error, self.folder, status.durable, status.planned, tuple(warnings), self.run.held
+        )
+
+
+def _policy(recipe: Recipe, options: Options, *, triggered: bool) -> Policy:
+    sections = recipe.sections
+    if sections is None:
+        gap = recipe.stack.on_plane_error == "gap"
+        return Policy(gap_on_error=gap, triggered=triggered, attended=options.attended)
+    return Policy(
+        gap_on_error=sections.on_error == "continue",
+        asks=sections.on_error != "park-and-stop",
+        attended=options.attended,
+        accepts=sections.accepts,
+    )
+
+
+def _band_switch(plan: RunPlan, rig: Rig) -> Callable[[int], None]:
+    """Return what takes on a band of the plan by its number; the camera is not armed then."""
+    bands = choose_bands(rig.spec.band, [band.name for band in plan.bands])
+    return lambda number: switch_band(rig.camera, bands[number], plan.exposure_ms(number))
 
 
 def new_session(
-    recipe: Recipe, rig: Rig, folder: Path, clock: Clock, tell: Callable[[dict[str, Any]], None]
+    recipe: Recipe,
+    rig: Rig,
+    folder: Path,
+    clock: Clock,
+    tell: Callable[[dict[str, Any]], None],
+    options: Options = Options(),
 ) -> Session:
     """Make ready a run in a folder of its own; raises if the disk cannot hold it."""
-    plan = plan_stack(recipe.stack, rig.spec)
+    plan = plan_run(recipe, rig.spec)
 
     def make_store(caps: CameraCaps) -> RunStore:
         check_disk(folder, cost_of(plan, rig.spec, caps), recipe.output.keep_free_gb)
         manifest = _manifest(recipe, rig.spec, plan, caps)
         return RunStore.create(folder, manifest, _layout(plan, recipe, rig.spec, caps), clock)
 
-    return Session(recipe, rig, plan, make_store, clock, tell)
+    return Session(recipe, rig, plan, make_store, clock, tell, options=options)
 
 
-def resumed_session(stored: StoredRun, rig: Rig, clock: Clock, tell: Callable[[dict[str, Any]], None]) -> Session:
+def resumed_session(
+    stored: StoredRun,
+    rig: Rig,
+    clock: Clock,
+    tell: Callable[[dict[str, Any]], None],
+    options: Options = Options(),
+) -> Session:
     """Make ready the rest of a run that ended early.
 
     Raises
@@ -214,14 +312,18 @@ def resumed_session(stored: StoredRun, rig: Rig, clock: Clock, tell: Callable[[d
         The instrument or the view is not that of the run.
     """
     recipe, plan = stored_recipe(stored), stored_plan(stored)
-    rig.camera.configure(exposure_ms=plan.exposure_ms)
+    rig.camera.configure(exposure_ms=plan.exposure_ms(0))
     caps = rig.camera.caps()
     check_same_instrument(stored, rig.spec, caps)
     rest = replace(cost_of(plan, rig.spec, caps), bytes_on_disk=len(stored.missing) * caps.frame_bytes)
     check_disk(stored.folder, rest, recipe.output.keep_free_gb)
     plan.check(rig.stage.limits)
     check_same_view(stored, rig, clock)
-    return Session(recipe, rig, plan, lambda _: RunStore.reopen(stored.folder, clock), clock, tell)
+
+    def make_store(_: CameraCaps) -> RunStore:
+        return RunStore.reopen(stored.folder, clock)
+
+    return Session(recipe, rig, plan, make_store, clock, tell, options=options, stored=stored)
 
 
 def _start_observers(recipe: Recipe, ring: Path, folder: Path) -> list[Observer]:
@@ -235,19 +337,23 @@ def _start_observers(recipe: Recipe, ring: Path, folder: Path) -> list[Observer]
     return [Observer(name, ring, folder, folder / OBSERVER_RESULTS, options)]
 
 
-def _layout(plan: StackPlan, recipe: Recipe, spec: RigSpec, caps: CameraCaps) -> FocalArray:
+def _layout(plan: RunPlan, recipe: Recipe, spec: RigSpec, caps: CameraCaps) -> FocalArray:
     return FocalArray(
-        planned=plan.count,
+        planned=len(plan),
         shape=caps.shape,
         dtype=caps.dtype,
-        start_um=to_um(plan.start_nm),
-        step_um=to_um(plan.step_nm),
+        start_um=to_um(plan.stack.start_nm),
+        step_um=to_um(plan.stack.step_nm),
         pixel_um=spec.object_pixel_um,
         compression=recipe.output.compression,
+        sections=plan.times,
+        channels=tuple(band.name for band in plan.bands),
+        colours=tuple(band.colour for band in choose_bands(spec.band, [band.name for band in plan.bands])),
+        interval_s=None if plan.series is None else (plan.series.interval_ms or plan.stack.exposure_ms) / 1000,
     )
 
 
-def _manifest(recipe: Recipe, spec: RigSpec, plan: StackPlan, caps: CameraCaps) -> dict[str, Any]:
+def _manifest(recipe: Recipe, spec: RigSpec, plan: RunPlan, caps: CameraCaps) -> dict[str, Any]:
     return {
         "name": recipe.name,
         "created_utc": datetime.now(UTC).isoformat(),

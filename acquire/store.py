@@ -20,12 +20,12 @@ import numpy as np
 import tensorstore
 
 from acquire import journal as diary
-from acquire.frame import Frame, FrameHeader
+from acquire.frame import Frame, FrameHeader, Missed
 from acquire.ome_zarr import FocalArray, replace_json, sync_folder
 from devices.errors import InputError, StoreError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Collection, Iterable
     from pathlib import Path
     from typing import Self
 
@@ -43,6 +43,7 @@ class RunEnd(StrEnum):
     COMPLETED_WITH_GAPS = "COMPLETED_WITH_GAPS"
     CANCELLED = "CANCELLED"
     FAILED = "FAILED"
+    HELD = "HELD"
     RUNNING = "RUNNING"
     INTERRUPTED = "INTERRUPTED"
 
@@ -56,7 +57,7 @@ class PlaneRecord:
 
     @property
     def plane(self) -> int:
-        """Index of the plane in the plan."""
+        """Index of the plane in its stack."""
         return self.header.plane
 
 
@@ -84,22 +85,29 @@ class _PlaneFiles:
             "store_data_equal_to_fill_value": True,
         }
         self._array = tensorstore.open(spec, open=True, assume_metadata=True).result()
-        self._grid = folder / "c" / "0" / "0"
-        self._bands = layout.bands
+        self._grid = folder / "c"
+        self._layout = layout
 
-    def write(self, plane: int, pixels: np.ndarray) -> None:
-        planar = pixels[np.newaxis] if self._bands == 1 else np.moveaxis(pixels, -1, 0)
-        self._array[0, :, plane].write(planar).result()  # the library syncs the file and its own folder
-        sync_folder(self._grid / str(plane))
-        sync_folder(self._grid)
+    def write(self, slot: int, pixels: np.ndarray) -> None:
+        planar = pixels[np.newaxis] if self._layout.bands == 1 else np.moveaxis(pixels, -1, 0)
+        self._plane(slot).write(planar).result()  # the library syncs the file and its own folder
+        section, band, plane = self._layout.place(slot)
+        folder = self._grid / str(section) / str(band) / str(plane)
+        for made in (folder, *folder.parents[: 2 if section == band == 0 else 4]):
+            sync_folder(made)
 
-    def read(self, plane: int) -> np.ndarray:
-        planar = np.asarray(self._array[0, :, plane].read().result())
-        return planar[0] if self._bands == 1 else np.ascontiguousarray(np.moveaxis(planar, 0, -1))
+    def read(self, slot: int) -> np.ndarray:
+        planar = np.asarray(self._plane(slot).read().result())
+        return planar[0] if self._layout.bands == 1 else np.ascontiguousarray(np.moveaxis(planar, 0, -1))
+
+    def _plane(self, slot: int) -> Any:
+        section, band, plane = self._layout.place(slot)
+        colours = self._layout.bands
+        return self._array[section, band * colours : (band + 1) * colours, plane]
 
 
 class RunStore:
-    """Writer of one run's folder. Used by one thread; `put` and `commit` return when the disk has it.
+    """Writer of one run's folder. Used by one thread at a time; what is written is on the disk upon return.
 
     Any `OSError` or tensorstore error means the plane is not durable; the run has to end before anything
     irreversible happens.
@@ -114,6 +122,7 @@ class RunStore:
         self._pending: list[PlaneRecord] = []
         self._records: dict[int, PlaneRecord] = {}
         self._published = 0
+        self._committed = 0
         self._files = _PlaneFiles(self._image / "0", layout)
 
     @classmethod
@@ -140,6 +149,7 @@ class RunStore:
         journal.append({"e": "resumed", "durable": len(stored.planes)})
         store = cls(folder, str(stored.manifest.get("name", folder.name)), stored.layout, journal)
         store._records = dict(stored.planes)
+        store._committed = stored.committed
         if stored.planes:
             store._publish()
         return store
@@ -154,11 +164,16 @@ class RunStore:
         """Which planes these are."""
         return frozenset(self._records)
 
+    @property
+    def layout(self) -> FocalArray:
+        """What the array looks like."""
+        return self._layout
+
     def put(self, frame: Frame) -> None:
         """Write one plane, read it back and compare; it counts as durable from the next `commit` on."""
-        crc = checksum(frame.pixels)
-        self._files.write(frame.header.plane, frame.pixels)
-        if checksum(self._files.read(frame.header.plane)) != crc:
+        crc, slot = checksum(frame.pixels), self._layout.slot_of(frame.header)
+        self._files.write(slot, frame.pixels)
+        if checksum(self._files.read(slot)) != crc:
             raise StoreError(
                 f"plane {frame.header.plane} reads back differently from what was written to {self.folder}.",
                 why="The disk or the memory is failing.",
@@ -178,15 +193,49 @@ class RunStore:
         if not self._pending:
             return
         self.journal.append(*({"e": "plane", "nbytes": r.nbytes, **asdict(r.header)} for r in self._pending))
-        self._records.update({record.plane: record for record in self._pending})
+        self._records.update({self._layout.slot_of(record.header): record for record in self._pending})
         self._pending.clear()
         self._publish()
 
-    def _publish(self) -> None:
-        shape = 1 + max(self._records)
-        if shape > self._published:
-            replace_json(self._image / "0" / "zarr.json", self._layout.array_json(shape))
-            self._published = shape
+    def reject(self, slots: Collection[int], reason: str) -> None:
+        """Take durable planes back before they are taken again: from now on they are missing."""
+        self.journal.append({"e": "reject", "slots": sorted(slots), "reason": reason})
+        for slot in slots:
+            self._records.pop(slot, None)
+
+    def commit_section(self, section: int, waived: Collection[int]) -> None:
+        """Record that a section is complete but for ``waived`` planes, then show it to readers.
+
+        Raises
+        ------
+        StoreError
+            A plane that is not waived is missing.
+        """
+        first = section * self._layout.slots_each
+        slots = set(range(first, first + self._layout.slots_each))
+        lacking = sorted(slots - set(self._records) - set(waived))
+        if lacking:
+            raise StoreError(f"section {section} is not complete: planes {lacking} are not durable. Nothing is cut.")
+        self.journal.append({"e": "commit", "section": section, "waived": sorted(waived)})
+        self._committed = section + 1
+        self._publish()
+
+    def record(self, slot: int) -> PlaneRecord:
+        """Return what is known of a durable plane."""
+        return self._records[slot]
+
+    def read(self, slot: int) -> np.ndarray:
+        """Return a durable plane, checked against its checksum."""
+        return _checked(self._files, slot, self._records[slot], self.folder)
+
+    def _publish(self, *, all_of_it: bool = False) -> None:
+        """Show what is durable; of a run of sections only whole ones, until the run has ended."""
+        extent = self._layout.extent(self._records)
+        if self._layout.sections > 1 and self._layout.interval_s is None and not all_of_it:
+            extent = min(extent, self._committed)
+        if extent > self._published:
+            replace_json(self._image / "0" / "zarr.json", self._layout.array_json(extent))
+            self._published = extent
 
     def finalise(self, end: RunEnd, reason: str = "") -> RunEnd:
         """Commit what is pending, write the tables, then the END record: the run's last word.
@@ -194,6 +243,8 @@ class RunStore:
         A run that is said to be COMPLETED while planes are missing is recorded as COMPLETED_WITH_GAPS.
         """
         self.commit()
+        if self._records:
+            self._publish(all_of_it=True)
         missing = self._missing()
         if end is RunEnd.COMPLETED and missing:
             end = RunEnd.COMPLETED_WITH_GAPS
@@ -217,6 +268,9 @@ class RunStore:
         if len(ordered) > INLINE_PLANES:
             return
         table = [{"plane": r.plane, "z_um": r.header.z_um, "setpoint_um": r.header.setpoint_um} for r in ordered]
+        for row, record in zip(table, ordered, strict=True):
+            if self._layout.sections > 1 or self._layout.channels:
+                row |= {"section": record.header.section, "band": record.header.band}
         group = self._layout.group_json(self._name, {"planes": table, "missing": missing})
         replace_json(self._image / "zarr.json", group)
 
@@ -235,7 +289,7 @@ def _make_skeleton(folder: Path, manifest: dict[str, Any], layout: FocalArray, n
             fix="choose another folder: --out DIR",
             code="output-exists",
         ) from None
-    grid = folder / "focal.ome.zarr" / "0" / "c" / "0" / "0"
+    grid = folder / "focal.ome.zarr" / "0" / "c" / "0" / "0"  # of the first section and band; writing makes the others
     grid.mkdir(parents=True)
     replace_json(folder / "focal.ome.zarr" / "zarr.json", layout.group_json(name))
     replace_json(folder / "focal.ome.zarr" / "0" / "zarr.json", layout.array_json(0))
@@ -268,18 +322,39 @@ class StoredRun:
         self.folder = folder
         self.manifest = _read_manifest(folder)
         array = dict(self.manifest["array"])
-        self.layout = FocalArray(**{**array, "shape": tuple(array["shape"])})
+        lists = {key: tuple(array[key]) for key in ("shape", "channels", "colours") if key in array}
+        self.layout = FocalArray(**{**array, **lists})
         self._files = _PlaneFiles(folder / "focal.ome.zarr" / "0", self.layout)
         self.refresh()
 
     def refresh(self) -> None:
         """Read the journal again: a run in progress has more planes now."""
         records, _ = diary.read(self.folder / "journal.jsonl")
-        self.planes = {record["plane"]: _plane_record(record) for record in records if record["e"] == "plane"}
-        missed = {r["plane"]: str(r["reason"]) for r in records if r["e"] == "missed"}
-        self.missed = {plane: reason for plane, reason in missed.items() if plane not in self.planes}
+        self.records = [record for record in records if record["e"] != "plane"]
+        self.planes: dict[int, PlaneRecord] = {}
+        missed: dict[int, str] = {}
+        self.committed = 0
+        for record in records:
+            self._hear(record, missed)
+        self.missed = {slot: reason for slot, reason in missed.items() if slot not in self.planes}
         last = next((r for r in reversed(records) if r["e"] in {"end", "resumed"}), {"e": "none"})
         self._end = last if last["e"] == "end" else None
+
+    def _hear(self, record: diary.Record, missed: dict[int, str]) -> None:
+        match record["e"]:
+            case "plane":
+                plane = _plane_record(record)
+                self.planes[self.layout.slot_of(plane.header)] = plane
+            case "missed":
+                gap = Missed(record["plane"], record["reason"], record.get("section", 0), record.get("band", 0))
+                missed[self.layout.slot_of(gap)] = gap.reason
+            case "reject":
+                for slot in record["slots"]:
+                    self.planes.pop(slot, None)
+            case "commit":
+                self.committed = record["section"] + 1
+            case _:
+                pass
 
     @property
     def state(self) -> RunEnd:
@@ -295,7 +370,7 @@ class StoredRun:
         return [k for k in range(self.layout.planned) if k not in self.planes]
 
     def read(self, plane: int) -> np.ndarray:
-        """Return a durable plane, (height, width[, bands]), checked against the journal's checksum.
+        """Return the durable plane of a slot, (height, width[, bands]), checked against the journal's checksum.
 
         Raises
         ------
@@ -304,28 +379,33 @@ class StoredRun:
         """
         if plane not in self.planes:
             raise StoreError(f"{self.folder}: plane {plane} is missing.", code="plane-missing")
-        try:
-            pixels = self._files.read(plane)
-        except (OSError, ValueError) as error:  # tensorstore reports a broken shard as ValueError
-            raise self._damaged(plane) from error
-        if checksum(pixels) != self.planes[plane].header.crc32:
-            raise self._damaged(plane)
-        return pixels
-
-    def _damaged(self, plane: int) -> StoreError:
-        return StoreError(
-            f"{self.folder}: plane {plane} is damaged on disk.",
-            why="Its checksum differs from the one in the journal.",
-            fix="restore the folder from a copy; the other planes can be used",
-            code="plane-damaged",
-        )
+        return _checked(self._files, plane, self.planes[plane], self.folder)
 
     def publish(self) -> None:
         """Make the OME-Zarr shape agree with the journal: a run killed between the two may lag behind."""
-        shape = 1 + max(self.planes, default=-1)
+        extent = self.layout.extent(self.planes)
         path = self.folder / "focal.ome.zarr" / "0" / "zarr.json"
-        if json.loads(path.read_text(encoding="utf-8"))["shape"][2] < shape:
-            replace_json(path, self.layout.array_json(shape))
+        if json.loads(path.read_text(encoding="utf-8"))["shape"][2 if self.layout.sections == 1 else 0] < extent:
+            replace_json(path, self.layout.array_json(extent))
+
+
+def _checked(files: _PlaneFiles, slot: int, record: PlaneRecord, folder: Path) -> np.ndarray:
+    try:
+        pixels = files.read(slot)
+    except (OSError, ValueError) as error:  # tensorstore reports a broken shard as ValueError
+        raise _damaged(folder, slot) from error
+    if checksum(pixels) != record.header.crc32:
+        raise _damaged(folder, slot)
+    return pixels
+
+
+def _damaged(folder: Path, slot: int) -> StoreError:
+    return StoreError(
+        f"{folder}: plane {slot} is damaged on disk.",
+        why="Its checksum differs from the one in the journal.",
+        fix="restore the folder from a copy; the other planes can be used",
+        code="plane-damaged",
+    )
 
 
 def _plane_record(record: diary.Record) -> PlaneRecord:

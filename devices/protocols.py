@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from devices.feed_values import KnifeState
+    from devices.feed_values import FeedState, KnifeState
     from devices.glasses_timing import Eye, EyewearTiming
     from devices.values import CameraCaps, FrameStamp, Limits, Roi, StageSequence
 
@@ -266,6 +266,44 @@ class Feed(Protocol):
 
     def close(self) -> None:
         """Release the line; feed and knife stay where they are."""
+        ...
+
+
+@runtime_checkable
+class Microtome(Protocol):
+    """A feed with a knife, as a run uses it beside what every `Feed` can do."""
+
+    @property
+    def behind_nm(self) -> float:
+        """How far behind its depth a stroke or the taking up of lost motion may leave the feed."""
+        ...
+
+    def resolve(self) -> FeedState:
+        """Look at feed and knife without moving anything, and say where things stand; the way out of UNKNOWN."""
+        ...
+
+    def home(self) -> None:
+        """Find the reference: the feed moves to its home switch, away from the knife."""
+        ...
+
+    def approach_to(self, depth_nm: float) -> None:
+        """Go to a depth in one go, forwards or backwards, whatever the thickness of a section."""
+        ...
+
+    def allow_cuts(self, may_cut: Callable[[], None]) -> None:
+        """Let ``may_cut`` vouch for the microscope: it raises `Unsafe` unless that is out of the knife's way."""
+        ...
+
+    def arm(self) -> None:
+        """Allow one stroke within the next 10 s."""
+        ...
+
+    def sweep(self, distance_nm: float) -> None:
+        """Let the knife wipe over the face with the feed drawn back: one stroke that cuts nothing."""
+        ...
+
+    def abort(self) -> None:
+        """Bring the knife out without a further feed."""
         ...
 
 

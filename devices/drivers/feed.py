@@ -174,11 +174,27 @@ class ModbusFeed:
         KnifeFailed
             It is stuck; it was told to come out.
         """
+        self._stroke(0)
+
+    def sweep(self, distance_nm: float) -> None:
+        """Let the knife wipe over the face with the feed drawn back: one stroke that cuts nothing; raises as `cut`."""
+        self._stroke(abs(round(distance_nm * self._counts_per_nm)))
+
+    @property
+    def behind_nm(self) -> float:
+        """How far behind its depth a stroke or the taking up of lost motion may leave the feed."""
+        return max(self._knife_spec.clearance_um, self.profile.axis.backlash_um) * NM_PER_UM
+
+    def _stroke(self, drawn_back: int) -> None:
         self._cycle.require(S.READY)
         knife = self._armed_knife()
         self._check_interlocks()
         self._may_cut()
         depth = self._fresh_counts()
+        if drawn_back:
+            with self._cycle.during(S.RETRACTING):
+                self._expected = self._drive.go(self._behind(depth, drawn_back))
+            self._cycle.enter(S.READY)
         try:
             with self._cycle.during(S.CUTTING):
                 knife.set_stroke()
@@ -186,7 +202,7 @@ class ModbusFeed:
         except DeviceError as error:
             self._bring_out(knife, error)
             raise
-        self._withdraw(knife, depth)
+        self._withdraw(knife, depth, drawn_back)
 
     def abort(self) -> None:
         """Bring the knife out without a further feed; whatever the state."""
@@ -289,11 +305,11 @@ class ModbusFeed:
         while self._drive.status().moving and self._clock.now() < patience_s:
             self._clock.sleep(FeedDrive.POLL_S)
 
-    def _withdraw(self, knife: Knife, depth: int) -> None:
+    def _withdraw(self, knife: Knife, depth: int, drawn_back: int) -> None:
         """Draw the feed back, bring the knife out, return to the same depth, and verify."""
         axis = self.profile.axis
         clearance = round(self._knife_spec.clearance_um * axis.counts_per_um)
-        back = self._behind(depth, clearance)
+        back = self._behind(depth, max(clearance, drawn_back))
         with self._cycle.during(S.RETRACTING):
             self._expected = self._drive.go(back)
         with self._cycle.during(S.CLEARING):

@@ -4,8 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from acquire.estimate import Pace, estimate
 from acquire.optics import depth_of_field_um, nyquist_step_um
-from acquire.plan import Pace, StackPlan, estimate, steps_in_range
+from acquire.plan import StackPlan, steps_in_range
 from devices.errors import LimitError, PlanError
 from devices.values import Limits
 

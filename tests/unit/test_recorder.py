@@ -68,8 +68,10 @@ def take_until_refused(out, planes):
     return planes, None
 
 
-def test_a_disk_below_its_reserve_stops_the_next_exposure_and_keeps_what_was_taken(tmp_path):
-    out = recorder(tmp_path / "run", 300, keep_free_bytes=2**62)
+def test_a_disk_below_its_reserve_stops_the_next_exposure_and_keeps_what_was_taken(tmp_path, monkeypatch):
+    out = recorder(tmp_path / "run", 300, keep_free_bytes=2**40)
+    fill = iter([2**41] * 20)
+    monkeypatch.setattr("acquire.recorder.free_bytes", lambda _: next(fill, 2**30))
     taken, refusal = take_until_refused(out, 300)
     assert (refusal.code, refusal.exit_code) == ("disk-full", 6)
     out.finish(RunEnd.FAILED)

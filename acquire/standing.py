@@ -1,0 +1,185 @@
+"""How far the removal of a section came: what the journal says, and what feed and knife themselves say to it.
+
+Pure functions. A removing command of which only the intent is in the journal is judged by the feed's own reading and
+the knife's own counter; when these do not decide, nobody guesses: that is a `Doubt`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+from acquire.state import Question
+from devices.feed_values import KnifeState
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from acquire.journal import Record
+
+SAME_PLACE_NM = 10.0
+AGAIN, DONE, NOT_DONE, END = "again", "done", "not-done", "end"
+ENDS = "end the run; what was taken is kept"
+
+
+class Act(StrEnum):
+    """How far one command came, as the journal knows it."""
+
+    PENDING = "pending"
+    BEGUN = "begun"
+    DONE = "done"
+
+
+SAYS: dict[str, dict[str, Any]] = {
+    "feed_intent": {"feed": Act.BEGUN},
+    "feed_done": {"feed": Act.DONE},
+    "feed_not_done": {"feed": Act.PENDING},
+    "cut_done": {"cut": Act.DONE},
+    "clean_done": {"cut": Act.DONE},
+    "cut_not_done": {"cut": Act.PENDING},
+    "clear": {"cleared": True},
+    "sweep_intent": {"cleared": False},
+    "answer": {"unanswered": None},
+}
+
+
+class Doubt(Exception):
+    """Feed and knife do not say whether a command was executed; the operator has to look.
+
+    Attributes
+    ----------
+    question : Question
+        What to ask.
+    """
+
+    def __init__(self, question: Question) -> None:
+        super().__init__(question.words)
+        self.question = question
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What the journal says of the section in work.
+
+    Attributes
+    ----------
+    section : int
+        The section.
+    feed, cut : Act
+        Of its feed, and of its cut or cleaning.
+    cleared : bool
+        Its removal is over: knife out, face free.
+    cuts_before : int
+        What the knife counted before the cut.
+    origin_nm : float or None
+        Where the feed stood when the run began.
+    unanswered : Question or None
+        What was asked about its feed or cut, and nobody answered.
+    """
+
+    section: int = 0
+    feed: Act = Act.PENDING
+    cut: Act = Act.PENDING
+    cleared: bool = False
+    cuts_before: int = 0
+    origin_nm: float | None = None
+    unanswered: Question | None = None
+
+    def heard(self, record: Record) -> Standing:
+        """Return what is known after one more record."""
+        section = record.get("section", self.section)
+        now = self if section == self.section else Standing(section, origin_nm=self.origin_nm)
+        match record["e"]:
+            case "origin":
+                return replace(now, origin_nm=record["depth_nm"])
+            case "cut_intent":
+                return replace(now, cut=Act.BEGUN, cuts_before=record["cuts_before"])
+            case "hold" if Act.BEGUN in (now.feed, now.cut):
+                return replace(now, unanswered=Question(record["code"], record["question"], record["answers"]))
+            case event if event in SAYS:
+                return replace(now, **SAYS[event])
+            case _:
+                return self
+
+
+NOTHING_REMOVED = Standing()
+
+
+def standing(records: Iterable[Record]) -> Standing:
+    """Return where the removal stands after all these records."""
+    now = NOTHING_REMOVED
+    for record in records:
+        now = now.heard(record)
+    return now
+
+
+def judge_feed(now_nm: float, previous_nm: float, target_nm: float, behind_nm: float) -> Act:
+    """Tell from where a resting feed stands whether the feed that was begun was executed.
+
+    Parameters
+    ----------
+    now_nm : float
+        Where it stands.
+    previous_nm, target_nm : float
+        Where it was before, and where it was sent.
+    behind_nm : float
+        How far behind its place the driver may have left it, to take up lost motion.
+
+    Raises
+    ------
+    Doubt
+        It stands at neither place.
+    """
+    if abs(now_nm - target_nm) <= SAME_PLACE_NM:
+        return Act.DONE
+    if previous_nm - behind_nm - SAME_PLACE_NM <= now_nm <= previous_nm + SAME_PLACE_NM:
+        return Act.PENDING
+    raise Doubt(
+        Question(
+            "feed-ambiguous",
+            f"The feed stands at {now_nm / 1000:.3f} µm; it was at {previous_nm / 1000:.3f} µm and was sent to "
+            f"{target_nm / 1000:.3f} µm. Nothing is fed or cut before it is known why.",
+            {AGAIN: "look again, after you have seen to the feed", END: ENDS},
+        )
+    )
+
+
+def check_place(here_nm: float, expected_nm: float) -> None:
+    """Raise `Doubt` unless the feed stands where it was left."""
+    if abs(here_nm - expected_nm) > SAME_PLACE_NM:
+        raise Doubt(
+            Question(
+                "feed-moved",
+                f"The feed stands at {here_nm / 1000:.3f} µm, but was left at {expected_nm / 1000:.3f} µm. Somebody "
+                "moved it, or its power went off and on. Nothing is fed or cut before it is known why.",
+                {AGAIN: "look again, after you have brought it back", END: ENDS},
+            )
+        )
+
+
+def judge_cut(knife: KnifeState, counted: int, before: int) -> Act:
+    """Tell from the knife, at rest, whether the cut that was begun was executed.
+
+    Raises
+    ------
+    Doubt
+        It is stuck, or its place and its counter do not agree.
+    """
+    if knife is not KnifeState.JAMMED and counted == before + 1:
+        return Act.DONE
+    if knife is KnifeState.CLEAR and counted == before:
+        return Act.PENDING
+    raise Doubt(
+        Question(
+            "cut-ambiguous",
+            f"A cut was begun and nobody knows whether it was made: the knife is {knife} and counted {counted} cuts, "
+            f"{before} before. Compare the live image with the last section.",
+            {
+                AGAIN: "look at the knife again, after you have seen to it",
+                DONE: "the section is cut: the face is a fresh one",
+                NOT_DONE: "it is not cut: the face is the one imaged last; cut it now",
+                END: ENDS,
+            },
+        )
+    )
