@@ -149,8 +149,9 @@ def _new(
 def _open(spec: RigSpec, transcript: Path | None, *, home: bool) -> Iterator[Rig]:
     """Open an instrument; ``home`` consents to the feed's search for its reference, as on a simulated bench."""
     with open_rig(spec, clock=CLOCK, transcript=transcript) as rig:
-        if home and isinstance(rig.feed, Microtome) and rig.feed.resolve() is not FeedState.READY:
-            rig.feed.home()
+        feed: object = rig.feed
+        if home and isinstance(feed, Microtome) and feed.resolve() is not FeedState.READY:
+            feed.home()
         yield rig
 
 

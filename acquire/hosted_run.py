@@ -92,8 +92,8 @@ class HostedRun:
             folder=str(session.folder),
             state=str(status.state),
             phase=str(status.phase),
-            section=0,
-            sections=1,
+            section=status.section,
+            sections=status.sections,
             plane=status.plane,
             planned=status.planned,
             taken=status.taken,
@@ -116,7 +116,7 @@ class HostedRun:
         self._taken_before = session.run.status.durable
         self._thread = threading.Thread(target=self._execute, args=[session], name="run")
         self._thread.start()
-        return Started(number=self._number, folder=str(session.folder), planned=session.plan.count)
+        return Started(number=self._number, folder=str(session.folder), planned=len(session.plan))
 
     def _execute(self, session: Session) -> None:
         try:

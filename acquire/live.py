@@ -8,11 +8,11 @@ import threading
 import time
 from typing import TYPE_CHECKING
 
-from acquire.engine import FIRST_FRAME_S
 from acquire.frame import FrameHeader
 from acquire.replies import Picture
 from acquire.ring import RingFull, RingWriter
 from acquire.snap import snap
+from acquire.taker import FIRST_FRAME_S
 from devices.errors import StereotomeError
 from devices.protocols import FreeRunningCamera
 

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from acquire.engine import FIRST_FRAME_S, POLL_S, FrameGate
 from acquire.frame import FrameHeader
+from acquire.gate import FrameGate
+from acquire.taker import FIRST_FRAME_S, POLL_S
 from devices.errors import CameraTimeout
 
 if TYPE_CHECKING:
