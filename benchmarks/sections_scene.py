@@ -102,7 +102,7 @@ def sections(
     for z in range(count):
         face = leaning(block.cut(z), lean_px * (z - count / 2), twist_deg * (z - count / 2))
         if marks:
-            for x, y in places + MARGIN * side:
+            for x, y in places + int(MARGIN * side):
                 disc(face, x, y, 5.0, 0.02)
         matrix = moved(rng, motion, float(compression[z]), side)
         images.append(photographed(rng, face, matrix, side))
@@ -132,7 +132,6 @@ def moved(rng: np.random.Generator, motion: Motion, compression: float, side: in
 
 def photographed(rng: np.random.Generator, face: np.ndarray, matrix: np.ndarray, side: int) -> np.ndarray:
     from_face = np.eye(3)
-    from_face[:2, 2] = -MARGIN * side
     from_face[:2, 2] = -float(int(MARGIN * side))
     whole = (matrix @ from_face)[:2]
     image = cv2.warpAffine(face, whole, (side, side), flags=cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REFLECT)

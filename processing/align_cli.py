@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as notation
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -15,8 +15,10 @@ from acquire.progress import progress
 from devices.clock import SystemClock
 from devices.errors import InputError
 from processing.align_fiducials import Marks, find_marks, read_marks
-from processing.align_models import Model, deformation
-from processing.align_report import FILES, write_alignment
+from processing.align_isotropy import Isotropic, elongation, mapped, shortened, tensors
+from processing.align_methods import Method  # noqa: TC001  the command line is made from the annotations
+from processing.align_models import Model
+from processing.align_report import files_of, write_alignment
 from processing.align_stack import FLAGS, Alignment, SectionAligner, choose_model
 from processing.align_trend import Trend, drift, with_trend
 from processing.outputs import about_stack, peak_memory_mb, versions
@@ -36,9 +38,11 @@ def align(
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     model: Choice = "auto",
+    method: Method = "auto",
     fiducials: str | None = None,
     reference: int = 0,
     trend: Trend = "remove",
+    isotropic: Isotropic | None = None,
     step_um: float | None = None,
     channel: int | None = None,
     time: int = 0,
@@ -58,6 +62,10 @@ def align(
     model
         Maps a section may need: translation, rigid, uniaxial (rigid and compressed along one direction), similarity,
         affine; auto looks at a few pairs.
+    method
+        auto: several starts, then a robust refinement. One way alone, without refinement: centroids (of features of
+        the binary pictures), mismatch (least Ex-OR area of the binary pictures, with its curve), phase (correlation,
+        shift only), fourier-mellin (shift, turn, scale), features.
     fiducials
         auto, or a CSV file with columns section, mark, x_px, y_px: places of marks that run straight through the
         specimen; a section called "known" gives their true places.
@@ -66,6 +74,9 @@ def align(
     trend
         What runs smoothly through the stack: remove takes it for drifting sections, keep for the specimen's own
         shape, model does so for a steady shift and twist. Without meaning where marks are given.
+    isotropic
+        Take the specimen for one without preferred direction, by its texture or its dark or bright features, and take
+        out the compression all sections share with the reference, which neighbours cannot tell. Not with marks.
     step_um
         Distance of sections in µm; goes before what the file says.
     channel
@@ -79,10 +90,10 @@ def align(
     quiet
         Show no progress and no notes.
     """
-    check_results(output, FILES, overwrite=overwrite)
+    check_results(output, files_of(method), overwrite=overwrite)
     opened = open_stack(stack, step_um=step_um, channel=channel, time=time)
     check_reference(opened, reference)
-    work = Work(opened, model, fiducials, reference, trend, SystemClock())
+    work = Work(opened, model, method, fiducials, reference, trend, isotropic, SystemClock())
     alignment, report = work.solved(quiet=quiet)
     with progress("resampling", len(opened), quiet=quiet) as show:
         write_alignment(output, opened, alignment, report, show)
@@ -110,16 +121,18 @@ class Work:
 
     stack: Stack
     model: Choice
+    method: Method
     fiducials: str | None
     reference: int
     trend: Trend
+    isotropic: Isotropic | None
     clock: Clock
 
     def solved(self, *, quiet: bool) -> tuple[Alignment, dict[str, Any]]:
         """Align the stack; returns the report, too."""
         begin = self.clock.now()
         model, why = choose_model(self.stack) if self.model == "auto" else (self.model, "")
-        aligner = SectionAligner(model)
+        aligner = SectionAligner(model, self.method)
         with progress("matching sections", len(self.stack), quiet=quiet) as show:
             for k in range(len(self.stack)):
                 aligner.add(self.stack[k])
@@ -132,6 +145,9 @@ class Work:
             drifted = drift(list(alignment.matrices), alignment.shape)
             notes.append(drifted.words(len(self.stack)))
             alignment = self._with_trend(alignment)
+        if self.isotropic is not None and not marks:
+            alignment, said = uncompressed(self.stack, alignment, self.isotropic)
+            notes.append(said)
         return alignment, self._report(alignment, notes, round(self.clock.now() - begin, 3))
 
     def _marks(self, aligner: SectionAligner) -> Marks | None:
@@ -143,10 +159,7 @@ class Work:
 
     def _with_trend(self, alignment: Alignment) -> Alignment:
         matrices = with_trend(list(alignment.matrices), alignment.shape, self.trend, self.reference)
-        moved = [
-            replace(s, matrix=m, deformation=deformation(m)) for s, m in zip(alignment.sections, matrices, strict=True)
-        ]
-        return replace(alignment, sections=tuple(moved))
+        return alignment.with_matrices(matrices)
 
     def _report(self, alignment: Alignment, notes: list[str], seconds: float) -> dict[str, Any]:
         told = [f"section {s.index} {FLAGS[flag]} ({flag})." for s in alignment.sections for flag in s.flags]
@@ -156,17 +169,37 @@ class Work:
             **about_stack(self.stack),
             "notes": [*notes, *told],
             "model": alignment.model,
+            "method": self.method,
             "reference": alignment.reference,
             "fiducials": self.fiducials,
             "trend": self.trend if self.fiducials is None else None,
+            "isotropic": self.isotropic if self.fiducials is None else None,
             "loop_px": alignment.loop_px,
             "pairs": pair_table(alignment),
             "flags": {str(s.index): list(s.flags) for s in alignment.sections if s.flags},
             "seconds": seconds,
             "peak_memory_mb": round(peak_memory_mb(), 1),
             "versions": versions(),
-            "files": list(FILES),
+            "files": list(files_of(self.method)),
         }
+
+
+def uncompressed(stack: Stack, alignment: Alignment, kind: Isotropic) -> tuple[Alignment, str]:
+    """Take out the compression that the looks of all sections, put on each other, show; says what it was."""
+    groups = [mapped(tensors(stack[s.index], kind), s.matrix) for s in alignment.sections if not s.flags]
+    found = elongation(groups, kind)
+    if found is None:
+        return alignment, f"--isotropic {kind}: fewer than three sections show enough of it; nothing was taken out."
+    back = np.eye(3)
+    back[:2, :2] = shortened(found)
+    middle = (np.array(alignment.shape[1::-1]) - 1) / 2
+    back[:2, 2] = middle - back[:2, :2] @ middle
+    said = (
+        f"taken for isotropic by its {kind}, section {alignment.reference} is compressed by {found.compression:.2%} ± "
+        f"{found.compression_error:.2%} along {found.direction_deg:.1f}° ± {found.direction_error_deg:.1f}°; all "
+        "sections were stretched back by that."
+    )
+    return alignment.with_matrices([s.matrix @ back for s in alignment.sections]), said
 
 
 def pair_table(alignment: Alignment) -> list[dict[str, Any]]:
@@ -180,6 +213,7 @@ def pair_table(alignment: Alignment) -> list[dict[str, Any]]:
             "noise_error_px": round(found.error_px, 5),
             "inliers": round(found.inliers, 3),
             "overlap": round(found.overlap, 3),
+            "mismatch": found.mismatch,
             "believed": found.believed,
         }
         for (i, j), found in alignment.pairs.items()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -36,7 +37,12 @@ STEADY = 0.15  # variation of contrast and size of one mark from section to sect
 PRESENT = 0.8  # of the sections must show a mark
 SEARCH_PX = 12  # around where a mark is expected
 FIT_STEPS = 25
+REACH_SIGMAS = 2.5  # of the window a spot is fitted in: at its rim the spot is gone
 MARK_ERROR_PX = 0.1  # assumed of places from a table
+EARLY = 5  # sections after which spots that are no marks are given up
+MOST_MARKS = 16  # of which every three are tried
+AGREE_PX = 0.7
+LEAST_AREA_PX = 1000.0  # twice that of the triangle three marks span
 
 
 @dataclass(frozen=True)
@@ -141,7 +147,7 @@ class Spot:
 
 
 def fit_spot(picture: Array, x: float, y: float, sigma: float) -> Spot | None:
-    """Fit a round Gaussian spot on a flat ground by Gauss-Newton; None when it runs away.
+    """Fit a round spot on an inclined ground by Gauss-Newton; None when it runs away.
 
     Parameters
     ----------
@@ -150,7 +156,7 @@ def fit_spot(picture: Array, x: float, y: float, sigma: float) -> Spot | None:
     x, y, sigma : float
         Roughly where it is and how large, in pixels.
     """
-    reach = int(np.ceil(3 * sigma))
+    reach = int(np.ceil(REACH_SIGMAS * sigma))
     x0, y0 = round(x) - reach, round(y) - reach
     part = picture[max(y0, 0) : y0 + 2 * reach + 1, max(x0, 0) : x0 + 2 * reach + 1]
     if part.shape != (2 * reach + 1, 2 * reach + 1):
@@ -171,9 +177,9 @@ def _spot_step(part: Array, xx: Array, yy: Array, found: Array) -> tuple[Array, 
     """Contrast and ground by least squares, then one step of place and size (variable projection)."""
     dx, dy, sigma = xx - found[0], yy - found[1], found[2]
     shape = np.exp(-(((dx**2 + dy**2) / (2 * sigma**2)) ** 2))  # a disc with a soft rim: marks are holes
-    ground = np.stack([shape.ravel(), np.ones(shape.size)], axis=1)
+    ground = np.stack([shape.ravel(), np.ones(shape.size), dx.ravel(), dy.ravel()], axis=1)
     linear, *_ = np.linalg.lstsq(ground, part.ravel(), rcond=None)
-    rest = part - linear[0] * shape - linear[1]
+    rest = part - (ground @ linear).reshape(part.shape)
     squared = (dx**2 + dy**2) / (2 * sigma**2)
     slope = linear[0] * shape * 2 * squared
     columns = np.stack([slope * dx / sigma**2, slope * dy / sigma**2, slope * 2 * squared / sigma], axis=-1)
@@ -205,14 +211,18 @@ def _separate(found: Sequence[tuple[float, Spot]]) -> list[Spot]:
 
 
 def find_marks(sections: Planes, matrices: Array, reference: int) -> Marks:
-    """Find marks that look the same in all sections, starting from where pairs place them.
+    """Find marks that look the same in all sections and keep their places to each other.
+
+    Spots of the reference section are followed from section to section, so that a specimen that leans or twists does
+    not lead away from them. Of the steady ones the largest set is taken that affine maps of the sections bring to
+    agreement: features of the specimen that happen to be round wander on their own.
 
     Parameters
     ----------
     sections : sequence of array
         Grey or RGB.
     matrices : array (sections, 3, 3)
-        From the reference section to each section, right to `SEARCH_PX`.
+        From the reference section to each section; from one to the next right to `SEARCH_PX`.
     reference : int
         Where marks are looked for first.
 
@@ -222,30 +232,78 @@ def find_marks(sections: Planes, matrices: Array, reference: int) -> Marks:
         ``align-marks``: fewer than three such marks.
     """
     candidates = spots(grey(sections[reference]))
-    followed = [[_followed(grey(sections[k]), s, matrices[k]) for s in candidates] for k in range(len(sections))]
-    steady = [m for m in range(len(candidates)) if _is_mark([row[m] for row in followed])]
-    if len(steady) < FEWEST["affine"]:
+    rows: list[list[Spot | None]] = [[None] * len(candidates) for _ in range(len(sections))]
+    rows[reference] = list(candidates)
+    alive = list(range(len(candidates)))
+    for walk in (range(reference + 1, len(sections)), range(reference - 1, -1, -1)):
+        alive = _follow(sections, matrices, rows, alive, walk)
+    steady = [m for m in alive if _is_mark([row[m] for row in rows])]
+    places = np.array([[(s.x, s.y) if (s := row[m]) else (np.nan, np.nan) for m in steady] for row in rows])
+    kept = consistent(places.reshape(len(sections), len(steady), 2), reference)
+    if len(kept) < FEWEST["affine"]:
         raise InputError(
-            f"{len(steady)} fiducial marks were found, of {len(candidates)} spots in section {reference}; "
+            f"{len(kept)} fiducial marks were found, of {len(candidates)} spots in section {reference}; "
             f"{FEWEST['affine']} are needed.",
-            why="A mark is a round spot of steady size and contrast, seen in four of five sections and more.",
+            why="A mark is a round spot of steady size and contrast, seen in four of five sections and more; marks "
+            "keep their places to each other.",
             fix=("give their places: --fiducials marks.csv", "leave out --fiducials"),
             code="align-marks",
         )
-    places = [[(s.x, s.y) if (s := row[m]) is not None else (np.nan, np.nan) for m in steady] for row in followed]
-    return Marks(np.array(places), np.full((len(steady), 2), np.nan), MARK_ERROR_PX)
+    return Marks(places[:, kept], np.full((len(kept), 2), np.nan), MARK_ERROR_PX)
 
 
-def _followed(picture: Array, mark: Spot, matrix: Array) -> Spot | None:
+def _follow(
+    sections: Planes, matrices: Array, rows: list[list[Spot | None]], alive: list[int], walk: range
+) -> list[int]:
+    """Follow marks along a walk away from the reference; returns those that are still worth it."""
+    last = {m: rows[walk.start - walk.step][m] for m in alive}
+    for done, k in enumerate(walk, start=1):
+        picture, step = grey(sections[k]), matrices[k] @ np.linalg.inv(matrices[k - walk.step])
+        for m in alive:
+            spot = last[m]
+            assert spot is not None
+            found = rows[k][m] = _followed(picture, spot, step)
+            x, y = applied(step, np.array([[spot.x, spot.y]]))[0]
+            last[m] = found or replace(spot, x=float(x), y=float(y))
+        if done == EARLY:
+            first = walk.start - walk.step
+            alive = [m for m in alive if _is_mark([rows[first + walk.step * n][m] for n in range(done + 1)])]
+    return alive
+
+
+def consistent(places: Array, reference: int) -> list[int]:
+    """Return the largest set of marks, (sections, marks, 2), that affine maps of each section bring to agreement.
+
+    Every three marks fix the map of each section; others that agree with them within `AGREE_PX` (median of all
+    sections) are counted, the better the more.
+    """
+    count = places.shape[1]
+    if count < FEWEST["affine"]:
+        return []
+    best: tuple[float, list[int]] = (0.0, [])
+    known = np.concatenate([places, np.ones((*places.shape[:2], 1))], axis=2)
+    for three in combinations(range(min(count, MOST_MARKS)), 3):
+        corner = known[reference, list(three)]
+        if abs(np.linalg.det(corner)) < LEAST_AREA_PX:
+            continue
+        maps = np.einsum("ij,njk->nik", np.linalg.inv(corner), places[:, list(three)])
+        off = np.linalg.norm(known[reference] @ maps - places, axis=2)
+        typical = np.nanmedian(np.where(np.isfinite(off), off, np.nan), axis=0)
+        inside = [m for m in range(count) if typical[m] <= AGREE_PX]
+        best = max(best, (float((1 - (typical[inside] / AGREE_PX) ** 2).sum()), inside))
+    return best[1]
+
+
+def _followed(picture: Array, mark: Spot, step: Array) -> Spot | None:
     """Find a mark near its expected place: the extreme of the blurred picture, then the fit."""
-    expected = applied(matrix, np.array([[mark.x, mark.y]]))[0]
+    expected = applied(step, np.array([[mark.x, mark.y]]))[0]
     x0, y0 = (round(float(c)) - SEARCH_PX for c in expected)
-    if min(x0, y0) < 0:
-        return None
     side = 2 * SEARCH_PX + 1
-    blurred = cv2.GaussianBlur(picture, (0, 0), mark.sigma / 1.5)[y0 : y0 + side, x0 : x0 + side]
-    if blurred.shape != (side, side):
+    if min(x0, y0) < 0 or x0 + side > picture.shape[1] or y0 + side > picture.shape[0]:
         return None
+    reach = int(np.ceil(2 * mark.sigma))
+    part = picture[max(y0 - reach, 0) : y0 + side + reach, max(x0 - reach, 0) : x0 + side + reach]
+    blurred = cv2.GaussianBlur(part, (0, 0), mark.sigma / 1.5)[min(reach, y0) :, min(reach, x0) :][:side, :side]
     y, x = np.unravel_index(int((blurred * np.sign(mark.contrast)).argmax()), blurred.shape)
     return fit_spot(picture, float(x0 + x), float(y0 + y), mark.sigma)
 

@@ -85,6 +85,13 @@ def _one_length(lengths: Array) -> Array:
     return np.where(np.arange(2) == kept, lengths, 1.0)
 
 
+def nearest_in_pixels(model: Model, matrix: Array, shape: tuple[int, ...]) -> Array:
+    """Return the map of the model next to one given in pixels; the middle of the section stays where it is."""
+    middle = np.eye(3)
+    middle[:2, 2] = (shape[1] - 1) / 2, (shape[0] - 1) / 2
+    return np.asarray(nearest(model, matrix @ middle) @ np.linalg.inv(middle))
+
+
 def tangent(model: Model, matrix: Array) -> Array:
     """Directions in which a map may move: columns of D, row by row, where M becomes M (1 + D).
 

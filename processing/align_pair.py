@@ -17,6 +17,8 @@ from processing.align_models import about_centre, applied, frame, grid, in_pixel
 from processing.align_refine import SUMS, UNKNOWNS, normal_equations, sampled_residuals
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from processing.align_models import Model
@@ -29,7 +31,9 @@ START_SIDE = 256  # the start is sought at this size
 SMALLEST_SIDE = 32  # smaller pictures show too little
 BLUR, BAND, CONTRAST = 0.6, 3.0, 12.0  # pixels: noise, band-pass, neighbourhood whose contrast is made equal
 FLATTEST = 0.25  # of the typical local contrast: flatter neighbourhoods are not raised any further
-STEPS, CONVERGED = 12, 0.003  # pixels
+STEPS = 12
+CONVERGED, COARSELY = 0.01, 0.05  # pixels a step moves: near the solution the next is a small fraction of it
+SPARSE = 4  # contrast varies slowly: it is worked out on every fourth pixel
 TUKEY = 3 * 1.4826  # times the median absolute residual
 STRIDE = 4
 ALIKE = 0.3  # correlation of the filtered pictures from which a match is believed
@@ -50,16 +54,21 @@ class View:
         Height and width of the section in its own pixels.
     levels : tuple of array (h, w) float32
         Band-pass with local contrast made equal: from about `COARSEST_SIDE` pixels to at most `FINEST_SIDE`.
-    small : array (h, w) float32
-        Grey, at most `START_SIDE` pixels wide or high.
+    grey : array (h, w) float32
+        As it is, at most `FINEST_SIDE` pixels wide or high.
     texture : float
         Share of the section that shows structure, 0 … 1.
     """
 
     shape: tuple[int, ...]
     levels: tuple[Array, ...]
-    small: Array
+    grey: Array
     texture: float
+
+    @property
+    def small(self) -> Array:
+        """Grey, at most `START_SIDE` pixels wide or high."""
+        return shrunk(self.grey, START_SIDE)
 
 
 @dataclass(frozen=True)
@@ -79,7 +88,9 @@ class Match:
     overlap : float
         Share of the first picture that the second one shows.
     start : str
-        What the refinement began with.
+        What the refinement began with, or the method whose map it is.
+    mismatch : float, optional
+        Ex-OR area over the shared area, where that was measured; ``curves`` then hold it against the offset.
     """
 
     matrix: Array
@@ -88,6 +99,8 @@ class Match:
     inliers: float
     overlap: float
     start: str = "given"
+    mismatch: float | None = None
+    curves: Mapping[str, Array] | None = None
 
     @property
     def believed(self) -> bool:
@@ -112,8 +125,7 @@ def view(section: Array) -> View:
     while max(grey_levels[0].shape) >= 2 * COARSEST_SIDE:
         grey_levels.insert(0, shrunk(grey_levels[0], max(grey_levels[0].shape) // 2))
     levels = [evened(level) for level in grey_levels]
-    small = shrunk(grey_levels[-1], START_SIDE)
-    return View(picture.shape, tuple(filtered for filtered, _ in levels), small, levels[-1][1])
+    return View(picture.shape, tuple(filtered for filtered, _ in levels), grey_levels[-1], levels[-1][1])
 
 
 def shrunk(image: Array, side: int) -> Array:
@@ -129,10 +141,12 @@ def evened(picture: Array) -> tuple[Array, float]:
     """Return the band-pass with local contrast made equal, and the share of pixels whose neighbourhood shows any."""
     fine = cv2.GaussianBlur(picture, (0, 0), BLUR)
     band = fine - cv2.GaussianBlur(picture, (0, 0), BAND)
-    contrast = np.sqrt(cv2.GaussianBlur(band * band, (0, 0), CONTRAST))
+    small = cv2.resize(band * band, None, fx=1 / SPARSE, fy=1 / SPARSE, interpolation=cv2.INTER_AREA)
+    contrast = np.sqrt(cv2.GaussianBlur(small, (0, 0), CONTRAST / SPARSE))
     typical = float(np.median(contrast))
     floor = max(FLATTEST * typical, 1e-3 * float(np.ptp(picture)), 1e-6)
-    return band / (contrast + floor), float((contrast > floor).mean())
+    everywhere = cv2.resize(contrast + floor, picture.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return band / everywhere, float((contrast > floor).mean())
 
 
 def between_sizes(matrix: Array, shape: tuple[int, ...], small: tuple[int, ...]) -> Array:
@@ -165,7 +179,8 @@ def refined(first: View, second: View, start: Array, model: Model, name: str = "
     """
     matrix, fit = start, Fit(1.0, 0.0)
     for a, b in list(zip(first.levels, second.levels, strict=True))[-levels:]:
-        found = level_refined(a, b, between_sizes(matrix, first.shape, a.shape), model)
+        enough = CONVERGED if a is first.levels[-1] else COARSELY
+        found = level_refined(a, b, between_sizes(matrix, first.shape, a.shape), model, enough)
         if found is None:
             return NO_MATCH
         matrix, fit = between_sizes(found[0], a.shape, first.shape), found[1]
@@ -174,15 +189,15 @@ def refined(first: View, second: View, start: Array, model: Model, name: str = "
     return replace(fit.judged(matrix, finest.size), error_px=fit.error_px * scale, start=name)
 
 
-def level_refined(a: Array, b: Array, start: Array, model: Model) -> tuple[Array, Fit] | None:
-    """Refine a map in pixels on one pair of filtered pictures."""
+def level_refined(a: Array, b: Array, start: Array, model: Model, enough: float) -> tuple[Array, Fit] | None:
+    """Refine a map in pixels on one pair of filtered pictures, until a step moves it by less than ``enough``."""
     matrix, fit = nearest(model, about_centre(start, a.shape)), Fit(1.0, 0.0)
     for _ in range(STEPS):
         step = one_step(a, b, matrix, fit, model)
         if step is None:
             return None
         matrix, fit, moved = step
-        if moved < CONVERGED:
+        if moved < enough:
             break
     return in_pixels(matrix, a.shape), fit
 

@@ -14,26 +14,26 @@ import cv2
 import numpy as np
 import tifffile
 import zarr
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from acquire.ome_zarr import FocalArray, replace_json, sync_folder
+from processing.align_pictures import curves_picture, curves_table, sections_picture, sections_table
 from processing.outputs import disk_error, write_durably
-from processing.pictures import png_bytes
 from processing.result_folder import json_bytes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
+    from processing.align_methods import Method
     from processing.align_stack import Alignment, Section
     from processing.stack import Stack
 
     Array = NDArray[Any]
 
 ZARR, TIFF, TRANSFORMS = "aligned.ome.zarr", "aligned.ome.tif", "transforms.json"
-FILES = (ZARR, TIFF, TRANSFORMS, "sections.png", "report.json")
+FILES = (ZARR, TIFF, TRANSFORMS, "sections.csv", "sections.png", "report.json")
+CURVES = ("mismatch.csv", "mismatch.png")
 CONVENTION = (
     "matrix leads from output pixel (x, y, 1) to source pixel (x, y) of the section as taken; "
     "pixel centres at whole numbers, x to the right, y down"
@@ -41,7 +41,11 @@ CONVENTION = (
 LANCZOS = cv2.INTER_LANCZOS4 | cv2.WARP_INVERSE_MAP
 TILE_PX = 2048  # resampled at a time: cv2 takes no picture beyond 32767 pixels
 REACH_PX = 6  # around what a tile needs, for the interpolation
-FIGURE_INCH = (9.0, 4.5)
+
+
+def files_of(method: Method) -> tuple[str, ...]:
+    """Return the names of what is written, the report last."""
+    return (*FILES[:-1], *(CURVES if method == "mismatch" else ()), FILES[-1])
 
 
 def resampled(section: Array, matrix: Array) -> Array:
@@ -83,10 +87,12 @@ def transforms(alignment: Alignment) -> dict[str, Any]:
 
 def _section(section: Section, alignment: Alignment) -> dict[str, Any]:
     bent = section.deformation
+    error, direction = alignment.compression_errors(section)
     compression = {
         "ratio": bent.compression,
         "direction_deg": bent.direction_deg,
-        "uncertainty": compression_error(section, alignment),
+        "uncertainty": error,
+        "direction_uncertainty_deg": direction,
     }
     return {
         "index": section.index,
@@ -97,11 +103,6 @@ def _section(section: Section, alignment: Alignment) -> dict[str, Any]:
         "rotation_deg": bent.rotation_deg,
         "flags": list(section.flags),
     }
-
-
-def compression_error(section: Section, alignment: Alignment) -> float:
-    """Error of the compression: an error of this many pixels, mean over the section, taken as a length at its rim."""
-    return section.error_px / (alignment.half_side_px / 2)
 
 
 def write_alignment(
@@ -120,9 +121,13 @@ def write_alignment(
             part = Path(aside)
             _write_volumes(part, stack, alignment, show)
             write_durably(part / TRANSFORMS, json_bytes(transforms(alignment)))
-            write_durably(part / "sections.png", png_bytes(before_and_after(stack, part / TIFF)))
+            write_durably(part / "sections.csv", sections_table(alignment))
+            write_durably(part / "sections.png", sections_picture(stack, part / TIFF, alignment))
+            if CURVES[0] in report["files"]:
+                write_durably(part / CURVES[0], curves_table(alignment))
+                write_durably(part / CURVES[1], curves_picture(alignment))
             write_durably(part / "report.json", json_bytes(report))
-            for name in FILES:
+            for name in report["files"]:
                 _replace(part / name, folder / name)
         sync_folder(folder)
     except OSError as error:
@@ -182,23 +187,3 @@ def _ome(stack: Stack, layout: FocalArray) -> dict[str, Any]:
         for axis in "XY":
             metadata |= {f"PhysicalSize{axis}": stack.pixel_um, f"PhysicalSize{axis}Unit": "µm"}
     return metadata
-
-
-def before_and_after(stack: Stack, aligned: Path) -> Array:
-    """Draw the x–z cut through the middle of the stack before and after; returns RGB, (h, w, 3) uint8."""
-    row = stack.shape[0] // 2
-    before = np.stack([stack[k][row] for k in range(len(stack))])
-    after = np.stack([tifffile.imread(aligned, key=k)[row] for k in range(len(stack))])
-    return _drawn((before, after), ("as taken", "aligned"))
-
-
-def _drawn(cuts: Sequence[Array], titles: Sequence[str]) -> Array:
-    figure = Figure(figsize=FIGURE_INCH, dpi=100, layout="constrained")
-    for axes, cut, title in zip(figure.subplots(1, 2), cuts, titles, strict=True):
-        low, high = np.percentile(cut, (0.5, 99.5))
-        shown = np.clip((cut.astype(np.float32) - low) / max(float(high - low), 1.0), 0, 1)
-        axes.imshow(shown, cmap="gray", aspect="auto", interpolation="nearest")
-        axes.set(title=f"x–z cut through the middle, {title}", xlabel="x, pixels", ylabel="section")
-    canvas: Any = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba(), np.uint8)[..., :3].copy()

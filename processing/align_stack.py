@@ -8,13 +8,14 @@ take the say from pairs the others contradict; marks whose places are known ente
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from devices.errors import InputError
-from processing.align_models import deformation, distance_px, nearest
+from processing.align_methods import matcher
+from processing.align_models import deformation, distance_px, nearest_in_pixels
 from processing.align_pair import SMALLEST_SIDE, View, view
 from processing.align_solve import Row, solve
 from processing.align_start import match
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from processing.align_methods import Method
     from processing.align_models import Deformation, Model
     from processing.align_pair import Match
 
@@ -99,10 +101,20 @@ class Alignment:
     loop_px: float
     shape: tuple[int, ...]
 
-    @property
-    def half_side_px(self) -> float:
-        """Half the longer side of a section."""
-        return max(self.shape[:2]) / 2
+    def compression_errors(self, section: Section) -> tuple[float, float]:
+        """Return the errors of a section's compression and of its direction in degrees.
+
+        An error of so many pixels, mean over the section, is taken as a length at its rim; that of the direction is
+        the same across, as far as the compression stands out from it.
+        """
+        error = section.error_px / (max(self.shape[:2]) / 4)
+        direction = np.degrees(error / max(2 * section.deformation.compression, 1e-9))
+        return error, min(float(direction), 90.0)
+
+    def with_matrices(self, matrices: Sequence[Array]) -> Alignment:
+        """Return the alignment with other maps for its sections."""
+        moved = [replace(s, matrix=m, deformation=deformation(m)) for s, m in zip(self.sections, matrices, strict=True)]
+        return replace(self, sections=tuple(moved))
 
     @property
     def matrices(self) -> Array:
@@ -118,6 +130,7 @@ class SectionAligner:
     """
 
     model: Model
+    method: Method = "auto"
     pairs: dict[tuple[int, int], Match] = field(default_factory=dict)
     blank: list[int] = field(default_factory=list)
     _count: int = 0
@@ -145,7 +158,7 @@ class SectionAligner:
             if believed >= CHECK:
                 break
             predicted = self._chain[index] @ np.linalg.inv(self._chain[before]) if believed else None
-            found = match(other, seen, self.model, predicted)
+            found = matcher(self.method)(other, seen, self.model, predicted)
             self.pairs[before, index] = found
             if found.believed and not believed:
                 self._chain[index] = found.matrix @ self._chain[before]
@@ -214,13 +227,6 @@ def no_match(count: int) -> InputError:
         fix=("look at the sections", "give places of marks: --fiducials marks.csv"),
         code="align-no-match",
     )
-
-
-def nearest_in_pixels(model: Model, matrix: Array, shape: tuple[int, ...]) -> Array:
-    """Return the map of the model next to one given in pixels; the middle of the section stays where it is."""
-    middle = np.eye(3)
-    middle[:2, 2] = (shape[1] - 1) / 2, (shape[0] - 1) / 2
-    return np.asarray(nearest(model, matrix @ middle) @ np.linalg.inv(middle))
 
 
 def damaged(k: int, pairs: Pairs) -> bool:

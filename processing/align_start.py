@@ -83,11 +83,12 @@ def turned_correlation(first: View, second: View, angles_deg: Array) -> Array:
         surface = np.fft.irfft2(spectrum * np.fft.rfft2(seen, size), size)
         y, x = np.unravel_index(int(surface.argmax()), surface.shape)
         if surface[y, x] > best:
-            best, found = surface[y, x], turn @ shifted(_signed(int(x), size[1]), _signed(int(y), size[0]))
+            best, found = surface[y, x], turn @ shifted(signed(int(x), size[1]), signed(int(y), size[0]))
     return between_sizes(found, a.shape, first.shape)
 
 
-def _signed(offset: int, period: int) -> int:
+def signed(offset: int, period: int) -> int:
+    """Return a shift found by Fourier transforms, which count backward ones from the other end."""
     return offset - period if offset > period // 2 else offset
 
 
