@@ -124,7 +124,7 @@ def mode(
 @contextmanager
 def _glasses(instrument: Path, clock: Clock) -> Iterator[tuple[Eyewear, GlassesSpec]]:
     spec = spec_of(instrument)
-    with closing(_open(spec, clock)) as glasses:
+    with closing(open_eyewear(spec, clock)) as glasses:
         yield glasses, spec
 
 
@@ -139,7 +139,8 @@ def spec_of(instrument: Path) -> GlassesSpec:
     return table
 
 
-def _open(spec: GlassesSpec, clock: Clock) -> Open3dGlasses | ModemGlasses:
+def open_eyewear(spec: GlassesSpec, clock: Clock) -> Open3dGlasses | ModemGlasses:
+    """Open the glasses of an instrument file; errors as their driver's `open_glasses`."""
     if spec.driver == "open3d":
         from devices.drivers import open3d  # noqa: PLC0415  each driver only when it is used
 
@@ -193,7 +194,7 @@ def _turns(glasses: Eyewear, spec: GlassesSpec, clock: Clock, seconds: float) ->
     The time from call to glasses is not in it: that is the link's.
     """
     if spec.driver == "modem-lines":
-        with closing(_open(spec, clock)) as again:
+        with closing(open_eyewear(spec, clock)) as again:
             return _turns_of(again, spec, clock, seconds)
     return _turns_of(glasses, spec, clock, seconds)
 

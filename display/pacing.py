@@ -14,16 +14,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from devices.errors import DisplayError
-from devices.glasses_timing import Edge, period_of
+from devices.glasses_timing import Edge
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from devices.glasses_timing import Eye
 
 LEAST_HZ = 96.0  # 48 pictures a second for each eye: below, everybody sees flicker
-ALIKE = 0.1  # how far the measured rate may be from the display's own word
-SOONEST_S, LATEST_S = -0.4e-3, 0.8e-3  # a swap that returned farther from a refresh tells of the computer, not of it
+SELDOM = 0.3  # share of swaps that must have returned one refresh after the one before
+NEAR_S = 0.6e-3  # a swap that returned farther from a refresh tells of the computer, not of the display
 GUARD_S = 0.6e-3  # a swap so shortly before a refresh may fall on either side of it
 PHASE_GAIN, PERIOD_GAIN = 0.1, 0.002
 STRAYS = 24  # more swaps near no refresh than twice those near one: the display runs differently now
@@ -66,25 +68,36 @@ def measured_beat(returns_s: Sequence[float], named_hz: float) -> Beat:
         ``no-vsync``: they did not wait for the display; ``refresh-too-slow``: see `check_rate`.
     """
     times = np.asarray(returns_s, np.float64)
-    period_s = period_of(times)
-    if not abs(period_s * named_hz - 1) <= ALIKE:
-        raise DisplayError(
-            f"the display says {named_hz:g} Hz, but pictures changed {1 / max(period_s, 1e-6):.0f} times a second.",
-            why="The driver does not wait for the display's refresh, or a compositor stands between.",
-            fix=("switch vertical synchronisation on in the driver.", "show full screen: without --window."),
-            code="no-vsync",
-        )
+    turns = np.rint(np.diff(times) * named_hz)
+    if np.mean(turns == 1) < SELDOM:
+        raise _not_waited(named_hz, times)
+    numbers = np.concatenate([[0.0], np.cumsum(turns)])
+    period_s = float(np.polyfit(numbers, times - times[0], 1)[0])
     check_rate(1 / period_s)
-    numbers = np.rint((times - times[0]) / period_s)
-    return Beat(float(times[0] + np.median(times - times[0] - numbers * period_s)), period_s)
+    return Beat(float(np.median(times - numbers * period_s)), period_s)
+
+
+def _not_waited(named_hz: float, times: NDArray[np.float64]) -> DisplayError:
+    changed_hz = (len(times) - 1) / max(times[-1] - times[0], 1e-6)
+    return DisplayError(
+        f"the display says {named_hz:g} Hz, but pictures changed {changed_hz:.0f} times a second.",
+        why="The driver does not wait for the display, a compositor stands between, or the computer is too busy.",
+        fix=(
+            "switch vertical synchronisation on in the driver.",
+            "show full screen: without --window.",
+            "close what else works on this computer.",
+        ),
+        code="no-vsync",
+    )
 
 
 def check_rate(refresh_hz: float) -> None:
     """Raise `DisplayError` (refresh-too-slow) for a display that is too slow for two eyes in turn."""
     if refresh_hz >= LEAST_HZ:
         return
+    shows = f"shows {refresh_hz:.4g} pictures a second" if refresh_hz > 0 else "does not say how often it is refreshed"
     raise DisplayError(
-        f"the display shows {refresh_hz:.4g} pictures a second; shutter glasses need {LEAST_HZ:g} or more.",
+        f"the display {shows}; shutter glasses need {LEAST_HZ:g} times a second or more.",
         why="Each eye sees every other one: below 48 a second it flickers.",
         fix=("set the display to 120 Hz.", "see it without shutters: --stereo parallel, rows or anaglyph-grey"),
         code="refresh-too-slow",
@@ -195,7 +208,7 @@ class Pacer:
     def _landed(self, turn: Turn, returned_s: float) -> int:
         """Return the refresh at which a picture came to be seen; follow the display where the return tells of it."""
         nearest = self.beat.nearest(returned_s)
-        stray = not SOONEST_S <= returned_s - self.beat.time_of(nearest) <= LATEST_S
+        stray = abs(returned_s - self.beat.time_of(nearest)) > NEAR_S
         self._astray = self._astray + 1 if stray else max(self._astray - 2, 0)
         if stray:
             self.report = replace(self.report, strays=self.report.strays + 1)

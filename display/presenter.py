@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from display.pacing import Turn
 
 MEASURED_SWAPS = 60
+BUFFERS = 3  # that a driver may have between drawing and seeing
 MOST_REDRAWN = 4  # a computer that cannot draw in time for so long shows what it has
 KEPT_FLIPS = 1 << 17
 
@@ -108,9 +109,11 @@ class Presenter:
 
     def _measured(self) -> Pacer:
         """Let darkness pass a number of times and see when."""
+        for _ in range(BUFFERS):
+            self._screen.draw(None)
+            self._screen.swap()
         returns_s = []
         for _ in range(MEASURED_SWAPS):
-            self._screen.draw(None)
             self._screen.swap()
             returns_s.append(self._clock.now())
         return Pacer(measured_beat(returns_s, self._screen.refresh_hz), self._swap)

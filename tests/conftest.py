@@ -1,9 +1,70 @@
 """What tests share."""
 
+import os
+import threading
+import tty
+
 import pytest
+from hypothesis import HealthCheck, settings
+
+from devices.clock import SystemClock
+from sim.controllers.open3d import Emitter
+
+# how long an example takes says nothing on a machine that does other things as well
+settings.register_profile("busy-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("busy-machine")
+
+GLASSES_RIG = """\
+schema = 1
+name = "bench"
+[camera]
+driver = "sim"
+address = "127.0.0.1:1"
+[optics]
+magnification = 20.0
+na = 0.45
+[stage.z]
+driver = "asi-ms2000"
+port = "/dev/null"
+limits = {{ min_um = -100.0, max_um = 100.0 }}
+[glasses]
+{glasses}
+"""
 
 
 @pytest.fixture
 def start_bench(sim_bench):
     """Start simulated benches; each ends with the test."""
     return sim_bench
+
+
+@pytest.fixture
+def rig(tmp_path):
+    def write(glasses):
+        path = tmp_path / "rig.toml"
+        path.write_text(GLASSES_RIG.format(glasses=glasses))
+        return str(path)
+
+    return write
+
+
+@pytest.fixture
+def emitter():
+    """An emitter behind a pseudo-terminal: the twin and the port's name."""
+    twin = Emitter(SystemClock())
+    master, slave = os.openpty()
+    tty.setraw(master)
+    tty.setraw(slave)
+
+    def serve():
+        while (data := os.read(master, 4096)) != b"\0":
+            for reply in twin.feed(data):
+                os.write(master, reply)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    yield twin, f'driver = "open3d"\nport = "{os.ttyname(slave)}"'
+    os.write(slave, b"\0")
+    thread.join()
+    os.close(master)
+    os.close(slave)

@@ -1,65 +1,13 @@
 """``stereotome glasses …`` against an emitter behind a pseudo-terminal, and against lines in this process."""
 
 import json
-import os
-import threading
-import tty
+from pathlib import Path
 
 import pytest
 
 from devices.cli import run
 from devices.clock import SystemClock
-from sim.controllers.open3d import Emitter
 from sim.simlines import Circuit, plug
-
-RIG = """\
-schema = 1
-name = "bench"
-[camera]
-driver = "sim"
-address = "127.0.0.1:1"
-[optics]
-magnification = 20.0
-na = 0.45
-[stage.z]
-driver = "asi-ms2000"
-port = "/dev/null"
-limits = {{ min_um = -100.0, max_um = 100.0 }}
-[glasses]
-{glasses}
-"""
-
-
-@pytest.fixture
-def rig(tmp_path):
-    def write(glasses):
-        path = tmp_path / "rig.toml"
-        path.write_text(RIG.format(glasses=glasses))
-        return str(path)
-
-    return write
-
-
-@pytest.fixture
-def emitter():
-    """An emitter behind a pseudo-terminal: the twin and the port's name."""
-    twin = Emitter(SystemClock())
-    master, slave = os.openpty()
-    tty.setraw(master)
-    tty.setraw(slave)
-
-    def serve():
-        while (data := os.read(master, 4096)) != b"\0":
-            for reply in twin.feed(data):
-                os.write(master, reply)
-
-    thread = threading.Thread(target=serve)
-    thread.start()
-    yield twin, f'driver = "open3d"\nport = "{os.ttyname(slave)}"'
-    os.write(slave, b"\0")
-    thread.join()
-    os.close(master)
-    os.close(slave)
 
 
 @pytest.fixture
@@ -124,7 +72,7 @@ def test_a_loop_without_its_wire_is_said(rig, lines, capsys):
 
 
 def test_an_instrument_without_glasses(rig, tmp_path, capsys):
-    path = tmp_path / "rig.toml"
-    path.write_text(RIG.partition("[glasses]")[0].format())
+    path = tmp_path / "none.toml"
+    path.write_text(Path(rig("")).read_text().partition("[glasses]")[0])
     assert run(["glasses", "show", "left", "-i", str(path)]) == 3
     assert "has no glasses" in capsys.readouterr().err
