@@ -113,6 +113,11 @@ class Instrument:
                 self._changed.wait(min(left_s, 1.0))
             return self._state
 
+    def wait_for_change(self, timeout_s: float) -> None:
+        """Wait until something is told, at most for so long."""
+        with self._changed:
+            self._changed.wait(timeout_s)
+
     def command(self, actor: str = "", *, wait_s: float = 0.0) -> None:
         """Become the one who commands; needed by everything that changes something, except `stop`.
 

@@ -96,7 +96,7 @@ def addresses(bind: str | None, *, keyed: bool) -> dict[Channel, str]:
     if bind is None:
         tag = secrets.token_hex(4)
         return {channel: f"ipc://{runtime_folder()}/{tag}.{channel}" for channel in CHANNELS}
-    host, port = _host_and_port(bind)
+    host, port = host_and_port(bind)
     if not keyed and not ipaddress.ip_address(host).is_loopback:
         raise KeysError(
             f"{bind} can be reached from other computers, and nothing guards it. Nothing was opened.",
@@ -106,7 +106,8 @@ def addresses(bind: str | None, *, keyed: bool) -> dict[Channel, str]:
     return {channel: f"tcp://{written}:{port + index if port else '*'}" for index, channel in enumerate(CHANNELS)}
 
 
-def _host_and_port(bind: str) -> tuple[str, int]:
+def host_and_port(bind: str) -> tuple[str, int]:
+    """Return the two parts of an address, port 0 when it has none; raises `InputError` for anything else."""
     host, _, port = (
         bind.rpartition(":") if bind.count(":") == 1 or (bind.startswith("[") and "]:" in bind) else (bind, "", "0")
     )

@@ -17,6 +17,8 @@ from cyclopts import Parameter
 from acquire.bench import simulated_bench, simulated_rig
 from acquire.keys import ServerKeys
 from acquire.server import serving
+from acquire.watchdog import Watchdog
+from acquire.web_process import observed_at, observer_page
 from devices.clock import SystemClock
 from devices.errors import RigError
 from devices.rig import load_rig, open_rig
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
 
     from devices.rig import RigSpec
 
+CLOCK = SystemClock()
+
 
 def serve(
     *,
@@ -34,6 +38,7 @@ def serve(
     set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
     bind: str | None = None,
     keys: Path | None = None,
+    observe: Annotated[bool | str, Parameter(negative="")] = False,
 ) -> int:
     """Own an instrument, and let consoles, scripts and observers work with it, until Ctrl-C.
 
@@ -52,14 +57,22 @@ def serve(
         alone can reach the instrument.
     keys
         Folder of keys made by `stereotome keys`; only those on its list are admitted.
+    observe
+        Show the newest picture and how things stand on a web page: --observe, or --observe=ADDRESS:PORT.
     """
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(asctime)s %(message)s")
     with ExitStack() as stack:
         spec = _instrument(stack, instrument, set_, sim=sim)
         guarded = None if keys is None else ServerKeys(keys)
-        rig = stack.enter_context(open_rig(spec, clock=SystemClock()))
-        file, _ = stack.enter_context(serving(rig, SystemClock(), bind=bind, keys=guarded))
+        where = observed_at(observe)
+        watchdog = stack.enter_context(Watchdog(spec, CLOCK))
+        rig = stack.enter_context(open_rig(spec, clock=CLOCK))
+        watchdog.wait_until_ready()
+        file, host = stack.enter_context(serving(rig, CLOCK, bind=bind, keys=guarded, beat=watchdog.beat))
+        watchdog.halted = host.stop_all
         told = {"instrument": spec.name, "connection": str(file)}
+        if where is not None:
+            told["page"] = stack.enter_context(observer_page(file, *where))
         sys.stdout.write(json.dumps(told, ensure_ascii=False) + "\n")
         sys.stdout.flush()
         _wait()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from devices.clock import SystemClock
-from devices.errors import DeviceBusy, RigError, Unsafe
+from devices.errors import RigError, Unsafe
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from devices.wire.modbus_map import RegisterWrite
 
 NM_PER_UM = 1000
-ROOM_S = 1.0
-EITHER_IS_NEW = (0x8000, 0x8001)  # a mailbox ignores the number it acknowledged last, never both
 Kind = Literal["rtu", "tcp", "rtu_over_tcp"]
 Instrument = Annotated[Path, Parameter(name=["--instrument", "-i"])]
 Flag = Annotated[bool, Parameter(negative="")]
@@ -159,11 +157,9 @@ def retract(
 
 def stop(*, instrument: Instrument) -> None:
     """Stop feed and knife at once, also while another program holds the port."""
-    try:
-        with _open(instrument, look=False) as device:
-            device.halt()
-    except DeviceBusy:
-        _stop_past_lock(_spec(instrument))
+    from devices.halt_rig import halt_feed  # noqa: PLC0415  the Modbus library takes its time
+
+    halt_feed(_spec(instrument))
     _say("feed and knife were told to stop.")
 
 
@@ -224,17 +220,6 @@ def _spec(instrument: Path) -> FeedSpec:
     if table is None:
         raise RigError(f"{instrument}: there is no [microtome] in it.", fix="add the table: see docs/microtome.md")
     return table
-
-
-def _stop_past_lock(spec: FeedSpec) -> None:
-    """Put the frames of a stop on a line that another program talks over; the answers go to that program."""
-    from devices.transport.modbus import frame  # noqa: PLC0415
-    from devices.transport.urgent import send_past_lock  # noqa: PLC0415
-
-    for profile, action in spec.stops():
-        for seq in EITHER_IS_NEW:
-            for request in profile.writes(action, {"seq": seq}):
-                send_past_lock(spec.port, frame(profile.link.unit, request), device="feed", wait_s=ROOM_S)
 
 
 def _refuse_direction(wrong: bool, way: str, other: str) -> None:  # noqa: FBT001

@@ -92,6 +92,6 @@ def served(instrument, *options):
         try:
             yield server
         finally:
-            if server.process.poll() is None:
+            if not server.process.stdout.closed:
                 server.process.kill()
                 server.process.communicate()
