@@ -7,6 +7,7 @@
 ``{"do": "power", "device": "z", "on": …}``  off and on again: what was not saved is lost
 ``{"do": "power-cycle", "device": "z"}``   both, one after the other
 ``{"do": "ttl", "device": "z", "count": 1}``  pulses at the device's TTL input
+``{"do": "reset"}``                        all as it was at the start: faults off, plugs in, power cycled, the axis back
 ``{"do": "truth"}``                        where the axis truly is, and what every device counted
 ========================================  ==============================================================
 
@@ -43,6 +44,7 @@ class Control:
         self._rack = rack
         self._axis = axis
         self._faults = faults
+        self._start_um, self._start_um_s = axis.encoder_um(), axis.speed_um_s
         self._one_at_a_time = threading.Lock()
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
@@ -54,6 +56,7 @@ class Control:
             "power": self._power,
             "power-cycle": self._power_cycle,
             "ttl": self._ttl,
+            "reset": self._reset,
             "truth": self._truth,
         }
 
@@ -121,6 +124,24 @@ class Control:
         for _ in range(count):
             pulse()
         return {}
+
+    def _reset(self, _asked: Answer) -> Answer:
+        for fault in self._faults.active:
+            self._faults.switch_off(fault.kind)
+        for device in self._rack.values():
+            device.line.plug()
+            device.power.switch(on=False)
+        self._put_axis_back()
+        for device in self._rack.values():
+            device.power.switch(on=True)
+        return {}
+
+    def _put_axis_back(self) -> None:
+        """Bring the axis to where it was at the start, past its controller, which is off."""
+        self._axis.set_speed(self._axis.top_speed_um_s)
+        self._axis.move_to(self._start_um)
+        self._axis.clock.sleep(max(self._axis.rests_at_s - self._axis.clock.now(), 0.0))
+        self._axis.set_speed(self._start_um_s)
 
     def _truth(self, _asked: Answer) -> Answer:
         now_s = self._axis.clock.now()

@@ -3,12 +3,15 @@
 import os
 import threading
 import tty
+from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from devices.clock import SystemClock
 from sim.controllers.open3d import Emitter
+from sim.pytest_plugin import SimBench, StartBench
 
 # how long an example takes says nothing on a machine that does other things as well
 settings.register_profile("busy-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -68,3 +71,25 @@ def emitter():
     thread.join()
     os.close(master)
     os.close(slave)
+
+
+@pytest.fixture(scope="module")
+def benches_of_module(tmp_path_factory: pytest.TempPathFactory):
+    """Benches by the text of their instrument file and their kind of ports, each started once for a module."""
+    with ExitStack() as running:
+        yield StartBench(tmp_path_factory.mktemp("benches"), running), {}
+
+
+@pytest.fixture
+def lend_bench(benches_of_module):
+    """Lend simulated benches to a test that leaves them alive, each as it was at its start."""
+    start, running = benches_of_module
+
+    def lend(instrument: Path, *, tcp: bool = False) -> SimBench:
+        kind = (Path(instrument).read_text(), tcp)
+        if kind not in running:
+            running[kind] = start(instrument, tcp=tcp)
+        running[kind].ask(do="reset")
+        return running[kind]
+
+    return lend

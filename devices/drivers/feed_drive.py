@@ -105,8 +105,8 @@ class FeedDrive:
         deadline = began + self._expected_s(target - start)
         progress, last, seen = began, start, False
         while True:
-            status, here = self._look()
-            now = self._clock.now()
+            status, words = self._look()
+            here, now = self.profile.number_in("position", words), self._clock.now()
             self._check_on_its_way(here, start, target)
             progress, last = (now, here) if here != last else (progress, last)
             seen = seen or status.moving or here != start
@@ -117,8 +117,12 @@ class FeedDrive:
             self._clock.sleep(self.POLL_S)
 
     def home(self, timeout_s: float) -> None:
-        """Search the reference and wait for it; the feed moves to its home switch."""
+        """Search the reference and wait for it; the feed moves to its home switch.
+
+        Raises `Unsafe` when that motion shows that the drive swaps the words of its numbers: a feed would go anywhere.
+        """
         self.halted.clear()
+        path = [self.registers.words("position")]
         try:
             self.registers.do(self.profile.do.home)
         except LinkLost:
@@ -127,7 +131,8 @@ class FeedDrive:
             self._look()  # homing may be asked for twice; whether it runs, the watch below sees
         began, seen = self._clock.now(), False
         while True:
-            status, _ = self._look()
+            status, words = self._look()
+            path.append(words)
             now = self._clock.now()
             seen = seen or status.moving
             believed = seen or now - began >= self.profile.state.start_guard_ms / 1000
@@ -137,6 +142,7 @@ class FeedDrive:
                 self.stop()
                 raise FeedStalled(f"feed: no home found within {timeout_s:g} s; it was told to stop.")
             self._clock.sleep(self.POLL_S)
+        self.registers.check_path("position", path)
         if status.homed is False or (status.homed is None and not seen and self.counts() != 0):
             raise DeviceError(
                 "feed: the drive did not home.",
@@ -192,11 +198,13 @@ class FeedDrive:
         speed = max(1, round(axis.speed_um_s * axis.speed_per_um_s))
         return {"pos": target, "speed": speed, "acc": axis.acc, "dec": axis.dec}
 
-    def _look(self) -> tuple[DriveStatus, int]:
-        status, here = self.check_alarm(), self.counts()
+    def _look(self) -> tuple[DriveStatus, list[int]]:
+        """Return the status, and the words of the position."""
+        status, words = self.check_alarm(), self.registers.words("position")
         if self.halted.is_set():
+            here = self.profile.number_in("position", words)
             raise FeedHalted(f"feed: halted at {here} counts.", fix="look again before going on: section show")
-        return status, here
+        return status, words
 
     def _check_on_its_way(self, here: int, start: int, target: int) -> None:
         margin = max(2 * ARRIVED_COUNTS, round(ASTRAY_UM * self.profile.axis.counts_per_um))

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import logging
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from devices.errors import LinkError, LinkLost, Unsafe
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from devices.profile import Action, Bit, Profile
     from devices.transport.modbus import Addressed, RegisterBus
 
@@ -15,6 +18,7 @@ log = logging.getLogger(__name__)
 
 SEQ = "seq"
 SEQ_RANGE = 0x10000
+SMOOTHER = 4  # a path read with swapped words is thousands of times as long
 
 
 class Registers:
@@ -86,7 +90,19 @@ class Registers:
         words = self.words(name)
         number, swapped = (self.profile.number_in(name, order) for order in (words, words[::-1]))
         if not low <= number <= high and low <= swapped <= high:
-            raise swapped_words(name, number, swapped)
+            raise swapped_words(name, f"reads {number}; with its two words swapped it would be {swapped}")
+
+    def check_path(self, name: str, path: Sequence[list[int]]) -> None:
+        """Raise `Unsafe` when readings during a motion make a smooth path only with their words swapped.
+
+        The low word of a pair changes with every count, the high one with every 65536th.
+        """
+        length, swapped = (
+            sum(abs(after - before) for before, after in pairwise(numbers))
+            for numbers in ([self.profile.number_in(name, words[::way]) for words in path] for way in (1, -1))
+        )
+        if swapped * SMOOTHER < length:
+            raise swapped_words(name, f"went {length} counts in a short motion; with its words swapped, {swapped}")
 
     def _next_seq(self) -> dict[str, int]:
         if self.profile.seq is None:
@@ -97,7 +113,7 @@ class Registers:
     def _other_drive(self, name: str, words: list[int], expected: int) -> Unsafe:
         number = self.profile.number_in(name, words)
         if len(words) > 1 and self.profile.number_in(name, words[::-1]) == expected:
-            return swapped_words(name, number, expected)
+            return swapped_words(name, f"reads {number}; with its two words swapped it would be {expected}")
         return Unsafe(
             f"feed: unit {self.unit} has {number} in '{name}', not {expected}. Nothing was moved.",
             why="It is another drive than the profile describes, or it is set up differently.",
@@ -106,10 +122,10 @@ class Registers:
         )
 
 
-def swapped_words(name: str, number: int, swapped: int) -> Unsafe:
-    """Return the error for a drive that orders the words of a pair the other way."""
+def swapped_words(name: str, seen: str) -> Unsafe:
+    """Return the error for a drive that orders the words of a pair the other way, as was seen."""
     return Unsafe(
-        f"feed: '{name}' reads {number}; with its two words swapped it would be {swapped}. Nothing was moved.",
+        f"feed: '{name}' {seen}. No feed was made.",
         why="The drive orders the words of a 32-bit number the other way.",
         fix='set word_order = "little" (or "big") in [microtome], as in the drive.',
         code="feed-word-order",

@@ -208,8 +208,8 @@ def test_words_in_the_other_order(profile: str):
     [
         ("leadshine-rs", "feed-word-order"),  # from its pulses of a turn
         ("plc-mailbox", "feed-word-order"),  # from its mark
-        ("oriental-az", "feed-not-executed"),  # it finds no trigger in the swapped words
-        ("applied-motion-scl", "feed-astray"),  # stopped as soon as it is seen where it was not sent
+        ("oriental-az", "feed-word-order"),  # from its way home
+        ("applied-motion-scl", "feed-word-order"),
     ],
 )
 def test_words_in_the_other_order_at_zero_where_both_look_alike(profile: str, code: str):
@@ -223,7 +223,28 @@ def test_words_in_the_other_order_at_zero_where_both_look_alike(profile: str, co
 
     assert fails(begin).code == code
     bench.clock.sleep(1.0)
-    assert bench.twin.machine.position_um < 10 or bench.twin.machine.moves_executed == 0
+    assert bench.twin.machine.moves_executed == 0
+    assert not bench.twin.machine.moving
+
+
+@pytest.mark.parametrize(
+    ("profile", "code"),
+    [
+        ("oriental-az", "feed-not-executed"),  # it finds no trigger in the swapped words
+        ("applied-motion-scl", "feed-astray"),  # stopped as soon as it is seen where it was not sent
+    ],
+)
+def test_words_in_the_other_order_when_not_even_the_way_home_showed_it(profile: str, code: str):
+    bench = on_twin(profile)
+    bench.twin.drive.word_order = "little"
+    bench.twin.machine.home()
+    bench.clock.sleep(10.0)
+    assert bench.twin.machine.homed
+    bench.ready()
+    assert bench.twin.machine.counts == 0
+    assert fails(lambda: advance(bench)).code == code
+    bench.clock.sleep(1.0)
+    assert bench.twin.machine.position_um < 10
     assert not bench.twin.machine.moving
 
 

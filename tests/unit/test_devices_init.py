@@ -38,12 +38,12 @@ MAKERS = {
 
 
 @pytest.fixture
-def bench_of(sim_bench, tmp_path):
+def bench_of(lend_bench, tmp_path):
     def start(driver: str):
         baud, units_per_um = MAKERS[driver]
         path = tmp_path / f"{driver}.toml"
         path.write_text(RIG.format(driver=driver, baud=baud, units_per_um=units_per_um))
-        return sim_bench(path)
+        return lend_bench(path)
 
     return start
 

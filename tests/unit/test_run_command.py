@@ -72,8 +72,8 @@ def one_clear_error(result, code):
     assert "Traceback" not in result.err
 
 
-def test_a_stack_lands_on_disk_with_readback_beside_setpoint(start_bench, small, recipe, tmp_path):
-    bench = start_bench(small)
+def test_a_stack_lands_on_disk_with_readback_beside_setpoint(lend_bench, small, recipe, tmp_path):
+    bench = lend_bench(small)
     result = stereotome("run", recipe, "-i", bench.instrument, "--out", tmp_path / "run")
     assert result.code == 0, result.err
     assert "11 of 11 planes are durable and verified" in result.err
@@ -90,8 +90,8 @@ def test_a_stack_lands_on_disk_with_readback_beside_setpoint(start_bench, small,
     assert len({plane.tobytes() for plane in planes}) == 11
 
 
-def test_json_tells_everything_one_object_a_line(start_bench, small, recipe, tmp_path):
-    bench = start_bench(small)
+def test_json_tells_everything_one_object_a_line(lend_bench, small, recipe, tmp_path):
+    bench = lend_bench(small)
     result = stereotome("run", recipe, "-i", bench.instrument, "--out", tmp_path / "run", "--json")
     events = [json.loads(line) for line in result.out.splitlines()]
     assert [e["plane"] for e in events if e["event"] == "plane"] == list(range(11))
@@ -112,8 +112,8 @@ def test_values_set_for_a_simulated_run_hold_for_the_bench(small, recipe, tmp_pa
     assert (pixels.shape, pixels.dtype) == ((32, 40), np.uint8)
 
 
-def test_dry_run_lists_every_plane_and_moves_nothing(start_bench, small, recipe, tmp_path):
-    bench = start_bench(small)
+def test_dry_run_lists_every_plane_and_moves_nothing(lend_bench, small, recipe, tmp_path):
+    bench = lend_bench(small)
     result = stereotome("run", recipe, "-i", bench.instrument, "--dry-run", "--out", tmp_path / "run")
     assert result.code == 0
     assert len(result.out.splitlines()) == 11
@@ -121,9 +121,9 @@ def test_dry_run_lists_every_plane_and_moves_nothing(start_bench, small, recipe,
     assert not (tmp_path / "run").exists()
 
 
-def interrupted(start_bench, small, recipe, folder, planes, how):
+def interrupted(lend_bench, small, recipe, folder, planes, how):
     """Start a long run, send it a signal after ``planes`` planes, and return its exit code and words."""
-    bench = start_bench(small)
+    bench = lend_bench(small)
     process = subprocess.Popen(
         [*PROGRAM, *f"run {recipe} -i {bench.instrument} --out {folder} --json".split(), *LONG],
         stdout=subprocess.PIPE,
@@ -142,9 +142,9 @@ def interrupted(start_bench, small, recipe, folder, planes, how):
 
 
 @pytest.mark.parametrize("planes", [1, 7, random.Random().randrange(2, 60)])
-def test_kill_9_leaves_exactly_the_durable_planes(start_bench, small, recipe, tmp_path, planes):
+def test_kill_9_leaves_exactly_the_durable_planes(lend_bench, small, recipe, tmp_path, planes):
     folder = tmp_path / "run"
-    _, code, _, _ = interrupted(start_bench, small, recipe, folder, planes, lambda process, _: process.kill())
+    _, code, _, _ = interrupted(lend_bench, small, recipe, folder, planes, lambda process, _: process.kill())
     assert code == -signal.SIGKILL
     told = stereotome("run", "--dry-run", folder)
     assert told.code == 0, told.err
@@ -161,10 +161,10 @@ def test_kill_9_leaves_exactly_the_durable_planes(start_bench, small, recipe, tm
     assert planes - 8 <= len(durable)
 
 
-def test_ctrl_c_ends_after_the_plane_keeps_the_data_and_goes_back(start_bench, small, recipe, tmp_path):
+def test_ctrl_c_ends_after_the_plane_keeps_the_data_and_goes_back(lend_bench, small, recipe, tmp_path):
     folder = tmp_path / "run"
     bench, code, out, err = interrupted(
-        start_bench, small, recipe, folder, 5, lambda process, _: process.send_signal(signal.SIGINT)
+        lend_bench, small, recipe, folder, 5, lambda process, _: process.send_signal(signal.SIGINT)
     )
     assert code == 7, err
     run = open_run(folder)
@@ -175,14 +175,14 @@ def test_ctrl_c_ends_after_the_plane_keeps_the_data_and_goes_back(start_bench, s
     assert stage_position_um(bench) == pytest.approx(0.0, abs=0.2)
 
 
-def killed_run(start_bench, small, recipe, folder, planes=9):
-    bench, *_ = interrupted(start_bench, small, recipe, folder, planes, lambda process, _: process.kill())
+def killed_run(lend_bench, small, recipe, folder, planes=9):
+    bench, *_ = interrupted(lend_bench, small, recipe, folder, planes, lambda process, _: process.kill())
     return bench, open_run(folder).planes
 
 
-def test_a_killed_run_goes_on_where_it_was(start_bench, small, recipe, tmp_path):
+def test_a_killed_run_goes_on_where_it_was(lend_bench, small, recipe, tmp_path):
     folder = tmp_path / "run"
-    bench, before = killed_run(start_bench, small, recipe, folder)
+    bench, before = killed_run(lend_bench, small, recipe, folder)
     result = stereotome("run", "--resume", folder, "-i", bench.instrument)
     assert result.code == 0, result.err
     run = open_run(folder)
@@ -198,13 +198,13 @@ def test_a_killed_run_goes_on_where_it_was(start_bench, small, recipe, tmp_path)
     one_clear_error(again, "nothing-missing")
 
 
-def test_a_run_does_not_go_on_over_another_specimen(start_bench, small, recipe, tmp_path):
+def test_a_run_does_not_go_on_over_another_specimen(lend_bench, small, recipe, tmp_path):
     folder = tmp_path / "run"
-    killed_run(start_bench, small, recipe, folder)
+    killed_run(lend_bench, small, recipe, folder)
     journal = (folder / "journal.jsonl").read_bytes()
     other = small.with_name("other.toml")
     other.write_text(SMALL_BENCH + "[sim]\nseed = 8\n")
-    result = stereotome("run", "--resume", folder, "-i", start_bench(other).instrument)
+    result = stereotome("run", "--resume", folder, "-i", lend_bench(other).instrument)
     assert result.code == 5, result.err
     one_clear_error(result, "other-view")
     assert (folder / "journal.jsonl").read_bytes() == journal
@@ -213,19 +213,19 @@ def test_a_run_does_not_go_on_over_another_specimen(start_bench, small, recipe, 
 @pytest.mark.parametrize(
     "change", [("na = 0.45", "na = 0.3"), ("[96, 80]", "[64, 64]"), ("max_um = 100.0", "max_um = 50.0")]
 )
-def test_a_run_does_not_go_on_with_another_instrument(start_bench, small, recipe, tmp_path, change):
+def test_a_run_does_not_go_on_with_another_instrument(lend_bench, small, recipe, tmp_path, change):
     folder = tmp_path / "run"
-    killed_run(start_bench, small, recipe, folder, planes=2)
+    killed_run(lend_bench, small, recipe, folder, planes=2)
     other = small.with_name("other.toml")
     other.write_text(SMALL_BENCH.replace(*change))
-    result = stereotome("run", "--resume", folder, "-i", start_bench(other).instrument)
+    result = stereotome("run", "--resume", folder, "-i", lend_bench(other).instrument)
     assert result.code == 5, result.err
     one_clear_error(result, "other-instrument")
 
 
-def test_a_run_does_not_go_on_with_another_recipe(start_bench, small, recipe, tmp_path):
+def test_a_run_does_not_go_on_with_another_recipe(lend_bench, small, recipe, tmp_path):
     folder = tmp_path / "run"
-    bench, _ = killed_run(start_bench, small, recipe, folder, planes=2)
+    bench, _ = killed_run(lend_bench, small, recipe, folder, planes=2)
     result = stereotome("run", recipe, "--resume", folder, "-i", bench.instrument)
     assert result.code == 3
     one_clear_error(result, "other-recipe")
@@ -271,9 +271,9 @@ def test_a_twin_that_dies_mid_run_ends_it_with_the_data_kept(start_bench, small,
     ],
 )
 def test_bad_input_is_one_clear_line_and_nothing_is_written(
-    start_bench, small, recipe, tmp_path, change, code, exit_code
+    lend_bench, small, recipe, tmp_path, change, code, exit_code
 ):
-    bench = start_bench(small)
+    bench = lend_bench(small)
     result = stereotome("run", recipe, "-i", bench.instrument, "--out", tmp_path / "run", *change)
     assert result.code == exit_code, result.err
     assert result.err.count("error[") == 1, result.err
@@ -283,9 +283,10 @@ def test_bad_input_is_one_clear_line_and_nothing_is_written(
 
 
 @pytest.mark.parametrize("fault", ["z.garble@8", "z.late@8", "z.silent@8"])
-def test_noise_and_silence_on_the_line_never_shift_a_plane(start_bench, small, recipe, tmp_path, fault):
+def test_noise_and_silence_on_the_line_never_shift_a_plane(lend_bench, small, recipe, tmp_path, fault):
     """One bad reply is asked again; a line that stays silent ends the run. Either way planes are where they say."""
-    bench = start_bench(small, faults=[fault])
+    bench = lend_bench(small)
+    bench.ask(do="fault", set=fault)
     result = stereotome("run", recipe, "-i", bench.instrument, "--out", tmp_path / "run")
     assert "Traceback" not in result.err
     assert result.code in {0, 4, 9}, result.err
@@ -294,15 +295,15 @@ def test_noise_and_silence_on_the_line_never_shift_a_plane(start_bench, small, r
             assert record.header.z_um == pytest.approx(record.header.setpoint_um, abs=0.2)
 
 
-def test_an_output_folder_that_exists_is_refused(start_bench, small, recipe, tmp_path):
-    bench = start_bench(small)
+def test_an_output_folder_that_exists_is_refused(lend_bench, small, recipe, tmp_path):
+    bench = lend_bench(small)
     result = stereotome("run", recipe, "-i", bench.instrument, "--out", tmp_path)
     assert result.code == 2
     one_clear_error(result, "output-exists")
 
 
-def test_all_problems_are_said_at_once(start_bench, small, recipe, tmp_path):
-    bench = start_bench(small)
+def test_all_problems_are_said_at_once(lend_bench, small, recipe, tmp_path):
+    bench = lend_bench(small)
     result = stereotome("run", recipe, "-i", bench.instrument, "--out", tmp_path, "--set", "stack.top_um=500")
     assert "error[limit]" in result.err
     assert "error[output-exists]" in result.err
@@ -326,18 +327,18 @@ def test_a_folder_that_is_no_run(tmp_path):
     one_clear_error(result, "no-run")
 
 
-def test_a_stack_of_one_plane(start_bench, small, recipe, tmp_path):
-    bench = start_bench(small)
+def test_a_stack_of_one_plane(lend_bench, small, recipe, tmp_path):
+    bench = lend_bench(small)
     one = ("--set", "stack.top_um=0", "--set", "stack.bottom_um=0")
     result = stereotome("run", recipe, "-i", bench.instrument, "--out", tmp_path / "run", *one)
     assert result.code == 0, result.err
     assert len(open_run(tmp_path / "run").planes) == 1
 
 
-def test_a_second_program_at_the_same_bench_is_told_it_is_busy(start_bench, small, recipe, tmp_path):
+def test_a_second_program_at_the_same_bench_is_told_it_is_busy(lend_bench, small, recipe, tmp_path):
     import serial
 
-    bench = start_bench(small)
+    bench = lend_bench(small)
     with serial.Serial(bench.told["stage_pty"], exclusive=True):
         result = stereotome("run", recipe, "-i", bench.instrument, "--out", tmp_path / "run")
     assert result.code == 8, result.err
@@ -368,8 +369,8 @@ shift_to_dry_run "$@"
 """
 
 
-def test_a_disk_that_fills_up_ends_the_run_with_every_durable_plane_kept(start_bench, small, recipe, tmp_path):
-    bench = start_bench(small)
+def test_a_disk_that_fills_up_ends_the_run_with_every_durable_plane_kept(lend_bench, small, recipe, tmp_path):
+    bench = lend_bench(small)
     words = [*f"run {recipe} -i {bench.instrument} --set output.keep_free_gb=0".split(), *UNCOMPRESSED]
     done = subprocess.run(
         ["unshare", "-rm", "sh", "-c", ON_A_SMALL_DISK, "sh", *PROGRAM, *words],
@@ -396,7 +397,7 @@ def children_named(pid, name):
     return [child for child in pids if name in Path(f"/proc/{child}/cmdline").read_text()]
 
 
-def test_an_observer_that_dies_costs_the_run_nothing(start_bench, small, recipe, tmp_path):
+def test_an_observer_that_dies_costs_the_run_nothing(lend_bench, small, recipe, tmp_path):
     def kill_the_observer(process, _):
         (observer,) = children_named(process.pid, "acquire.observe")
         os.kill(observer, signal.SIGKILL)
@@ -404,7 +405,7 @@ def test_an_observer_that_dies_costs_the_run_nothing(start_bench, small, recipe,
     watched = recipe.with_name("watched.toml")
     watched.write_text(RECIPE + "[process]\nrange_image = true\n")
     folder = tmp_path / "run"
-    _, code, out, err = interrupted(start_bench, small, watched, folder, 5, kill_the_observer)
+    _, code, out, err = interrupted(lend_bench, small, watched, folder, 5, kill_the_observer)
     assert code == 0, err
     assert json.loads(out.splitlines()[-1])["state"] == "COMPLETED"
     assert "warning: focus failed" in err

@@ -136,8 +136,8 @@ def test_any_line_gets_an_answer(line):
         assert not control.answer(line)["ok"]
 
 
-def test_faults_come_and_go_while_a_driver_is_at_work(sim_bench, small):
-    bench = sim_bench(small)
+def test_faults_come_and_go_while_a_driver_is_at_work(lend_bench, small):
+    bench = lend_bench(small)
     with open_stage(bench) as stage:
         bench.ask(do="fault", set="z.silent")
         assert bench.ask(do="faults")["faults"] == ["z.silent"]
@@ -158,8 +158,8 @@ def test_faults_come_and_go_while_a_driver_is_at_work(sim_bench, small):
 
 
 @pytest.mark.parametrize("tcp", [False, True])
-def test_a_port_that_is_pulled_and_put_back_has_the_same_name(sim_bench, small, tcp):
-    bench = sim_bench(small, tcp=tcp)
+def test_a_port_that_is_pulled_and_put_back_has_the_same_name(lend_bench, small, tcp):
+    bench = lend_bench(small, tcp=tcp)
     with open_stage(bench) as stage:
         stage.move_to(12.0)
         stage.settle(5.0)
@@ -196,8 +196,8 @@ def test_a_device_that_hangs_up_takes_the_next_connection():
             assert second.read(1) == b"2"
 
 
-def test_pulses_reach_the_ttl_input(sim_bench, small):
-    bench = sim_bench(small)
+def test_pulses_reach_the_ttl_input(lend_bench, small):
+    bench = lend_bench(small)
     with serial.Serial(bench.told["stage_pty"], 115200, timeout=5) as port:
         for command in (b"RM X=0", b"LD Z=30", b"LD Z=60", b"RM Y=4 Z=0", b"TTL X=1"):
             port.write(command + b"\r")
@@ -208,11 +208,31 @@ def test_pulses_reach_the_ttl_input(sim_bench, small):
         assert bench.ask(do="truth")["z_um"] == pytest.approx(3.0)
 
 
-def test_a_script_is_told_in_an_exception_what_the_bench_refuses(sim_bench, small):
+def test_a_script_is_told_in_an_exception_what_the_bench_refuses(lend_bench, sim_bench, small):
     with pytest.raises(RuntimeError, match="no device 'knife'"):
-        sim_bench(small).ask(do="unplug", device="knife")
+        lend_bench(small).ask(do="unplug", device="knife")
     with pytest.raises(RuntimeError, match="did not start"):
         sim_bench("no-such-file.toml")
+
+
+def test_a_reset_bench_is_as_it_was_at_its_start(lend_bench, small):
+    bench = lend_bench(small)
+    with open_stage(bench) as stage:
+        stage.move_to(12.0)
+        stage.settle(5.0)
+        stage.zero_here()
+        stage.set_speed_um_s(50.0)
+        bench.ask(do="fault", set="z.stall@15um")
+        stage.move_to(20.0)
+        bench.ask(do="unplug", device="z")
+    bench.ask(do="power", device="z", on=False)
+    bench.ask(do="reset")
+    assert bench.ask(do="faults")["faults"] == []
+    assert bench.ask(do="truth")["z_um"] == 0.0
+    with open_stage(bench) as stage:
+        assert stage.position_um() == 0.0
+        stage.move_to(20.0)
+        assert stage.settle(5.0) == pytest.approx(20.0, abs=0.1)
 
 
 def left_by(folder: Path, pid: int) -> list[Path]:
