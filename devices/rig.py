@@ -129,6 +129,10 @@ class AxisSpec(Table):
         Rest after the arrival, before `Stage.settle` returns.
     backlash_um : float
         Lost motion; planes are approached from one side, from further away than this.
+    may_move_on_enable : bool
+        An axis that lost its reference may search it when it is opened, anywhere within its travel.
+    reference_by : str
+        What it searches: ``switch``, ``negative-limit`` or ``positive-limit``.
     """
 
     driver: Annotated[str, AfterValidator(_known_stage)]
@@ -142,6 +146,8 @@ class AxisSpec(Table):
     speed_um_s: Positive | None = None
     settle_ms: NotNegative = 0.0
     backlash_um: NotNegative = 0.0
+    may_move_on_enable: bool = False
+    reference_by: Literal["switch", "negative-limit", "positive-limit"] = "switch"
 
     @property
     def soft_limits(self) -> Limits:

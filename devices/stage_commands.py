@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 Instrument = Annotated[Path, Parameter(name=["--instrument", "-i"])]
 Json = Annotated[bool, Parameter(name="--json", negative="")]
+MayMove = Annotated[bool, Parameter(negative="", show_default=False)]
 
 
 def show(*, instrument: Instrument, json: Json = False) -> None:
@@ -73,17 +74,19 @@ def jog(by_um: float, /, *, instrument: Instrument, json: Json = False) -> None:
         _go(stage, table, stage.position_um() + by_um, as_json=json)
 
 
-def home(*, instrument: Instrument, json: Json = False) -> None:
+def home(*, instrument: Instrument, may_move: MayMove = False, json: Json = False) -> None:
     """Move the z stage to 0 µm.
 
     Parameters
     ----------
     instrument
         The instrument file.
+    may_move
+        An axis that does not know where it is may first search its reference, anywhere within its travel.
     json
         One JSON object instead of words.
     """
-    with _stage(instrument) as (stage, table):
+    with _stage(instrument, may_move=may_move) as (stage, table):
         _go(stage, table, 0.0, as_json=json)
 
 
@@ -138,9 +141,11 @@ def stop(*, instrument: Instrument) -> None:
 
 
 @contextmanager
-def _stage(instrument: Path) -> Iterator[tuple[Stage, AxisSpec]]:
+def _stage(instrument: Path, *, may_move: bool = False) -> Iterator[tuple[Stage, AxisSpec]]:
     """Open the stage alone; Ctrl-C during a move stops it."""
     table = load_rig(instrument).stage.z
+    if may_move:
+        table = table.model_copy(update={"may_move_on_enable": True})
     with closing(factory(table.driver, "stage")(table, DeviceContext(SystemClock()))) as stage:
         try:
             yield stage, table

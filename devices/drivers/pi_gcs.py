@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from devices.drivers.polled import PolledStage, open_polled
-from devices.errors import DeviceError, NoReply, RigError
+from devices.errors import DeviceError, NoReply, RigError, StageStalled
 from devices.wire import pi_gcs
 
 if TYPE_CHECKING:
@@ -17,16 +17,23 @@ if TYPE_CHECKING:
 
 TOLERANCE_UM = 0.1  # the controller itself decides, by its window, whether the axis is on target
 ROUNDING_UM = 0.001
+REFERENCE_S = 120.0  # slow motors search the length of their travel
 
 
 class PiStage(PolledStage):
     """Drives one axis in closed loop. ``units_per_um`` is 1 for controllers that count µm, 0.001 for mm.
 
     Arrived is what the controller calls on target, which it says once the axis has settled, and not before.
+
+    Parameters
+    ----------
+    may_reference : bool
+        An axis without reference searches it upon the first `greet`, and never again: not in the middle of a run.
     """
 
-    def __init__(self, link: Link, spec: AxisSpec, clock: Clock) -> None:
+    def __init__(self, link: Link, spec: AxisSpec, clock: Clock, *, may_reference: bool = False) -> None:
         super().__init__(link, spec, clock, tolerance_um=TOLERANCE_UM)
+        self._may_reference = may_reference
         self._axis = spec.axis or "1"
         self._units_per_um = -spec.units_per_um if spec.invert else spec.units_per_um
 
@@ -46,9 +53,14 @@ class PiStage(PolledStage):
     def _prepare(self) -> None:
         self._axis = self._only_axis()
         self._link.ask(pi_gcs.error())  # what others left behind
-        self._check_referenced()
+        may_reference, self._may_reference = self._may_reference, False
+        referenced = self._is_referenced()
+        if not (referenced or may_reference):
+            raise _not_referenced()
         self._check_travel()
         self._link.ask(pi_gcs.set_servo(self._axis, on=True))
+        if not referenced:
+            self._reference()
         if self._spec.speed_um_s is not None:
             self.set_speed_um_s(self._spec.speed_um_s)
 
@@ -73,18 +85,32 @@ class PiStage(PolledStage):
         asked = "which is meant is not said" if self._spec.axis is None else f"'{self._spec.axis}' is none of them"
         raise RigError(f"z stage: the controller's axes are {', '.join(there)}; {asked}.", fix=f'axis = "{there[0]}"')
 
-    def _check_referenced(self) -> None:
+    def _is_referenced(self) -> bool:
         try:
-            known = self._link.ask(pi_gcs.referenced(self._axis))
+            return self._link.ask(pi_gcs.referenced(self._axis))
         except NoReply:  # the silence of an unknown question leaves error 2 behind
             self._link.ask(pi_gcs.error())
-            return
-        if not known:
-            raise DeviceError(
-                "z stage: position unknown: the axis is not referenced.",
-                why="It has not been sent to its reference since it was switched on.",
-                fix="clear its way and reference it (FRF) with PI's program, then start again.",
-                code="position-unknown",
+            return True
+
+    def _reference(self) -> None:
+        """Search the reference and wait until the axis rests there; whatever ends this early halts it."""
+        deadline = self._clock.now() + REFERENCE_S
+        try:
+            self._link.ask(pi_gcs.reference(self._axis, self._spec.reference_by))
+            while self._moving() or not self._is_referenced():
+                self._check_search(late=self._clock.now() > deadline)
+                self._clock.sleep(self._poll_s)
+        except BaseException:
+            self.halt()
+            raise
+
+    def _check_search(self, *, late: bool) -> None:
+        code = self._link.ask(pi_gcs.error())
+        if late or code or self._halted.is_set():
+            raise StageStalled(
+                f"z stage: no reference was found by its {self._spec.reference_by}; it was halted.",
+                why=f"The controller says: {pi_gcs.ERRORS.get(code, 'error')} ({code})." if code else "",
+                fix="free the axis; see in its manual whether reference_by is what it has.",
             )
 
     def _check_travel(self) -> None:
@@ -99,6 +125,18 @@ class PiStage(PolledStage):
             )
 
 
+def _not_referenced() -> DeviceError:
+    return DeviceError(
+        "z stage: position unknown: the axis is not referenced.",
+        why="It has not been sent to its reference since it was switched on.",
+        fix=(
+            "clear its whole travel, then let it search: stereotome stage home --may-move",
+            "let it search whenever it is opened: may_move_on_enable = true in [stage.z]",
+        ),
+        code="position-unknown",
+    )
+
+
 def open_stage(table: AxisSpec, context: DeviceContext) -> PiStage:
     """Open the port, identify the controller, compare its travel with the limits, and switch the servo on.
 
@@ -107,7 +145,8 @@ def open_stage(table: AxisSpec, context: DeviceContext) -> PiStage:
     RigError
         ``units_per_um`` is not given, the limits reach beyond the travel, or the axis is not there.
     DeviceError
-        As of `open_polled`; position-unknown for an axis without reference.
+        As of `open_polled`; position-unknown for an axis without reference, unless ``may_move_on_enable`` lets it
+        search for it; stage-stalled when it finds none.
     """
     if "units_per_um" not in table.model_fields_set:
         raise RigError(
@@ -117,5 +156,9 @@ def open_stage(table: AxisSpec, context: DeviceContext) -> PiStage:
         )
     fix = "set baud as on the controller: an E-709 is delivered with 115200."
     return open_polled(
-        table, context, lambda link: PiStage(link, table, context.clock), terminator=pi_gcs.TERMINATOR, fix=fix
+        table,
+        context,
+        lambda link: PiStage(link, table, context.clock, may_reference=table.may_move_on_enable),
+        terminator=pi_gcs.TERMINATOR,
+        fix=fix,
     )

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 TERMINATOR: Final = b"\n"
+REFERENCE: Final = {"switch": "FRF", "negative-limit": "FNL", "positive-limit": "FPL"}
 HALT_ALL: Final = b"\x18"
 STOPPED: Final = 10
 NOT_ALLOWED: Final = 5
@@ -84,6 +85,11 @@ def servo(axis: str) -> Request[bool]:
 def referenced(axis: str) -> Request[bool]:
     """Ask whether the axis knows its zero; drives with an absolute sensor may leave it unanswered."""
     return Request(*_asked("FRF?", axis, _flag), repeatable=False, timeout_s=SHORT_S)
+
+
+def reference(axis: str, by: str) -> Request[None]:
+    """Search the reference, ``by`` a key of `REFERENCE`; the axis may go anywhere within its travel meanwhile."""
+    return _set(f"{REFERENCE[by]} {axis}", moves=True)
 
 
 def set_servo(axis: str, *, on: bool) -> Request[None]:

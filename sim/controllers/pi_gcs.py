@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from sim.motion import Axis
+    from sim.motion import Axis, Move
 
 UNKNOWN_COMMAND, NOT_ALLOWED, OUT_OF_LIMITS, BAD_VELOCITY, STOPPED = 2, 5, 7, 8, 10
 BAD_AXIS, BAD_PARAMETER, MOTION_ERROR, SYNTAX = 15, 17, 1024, 1
@@ -21,7 +21,8 @@ IS_READY, IS_BUSY = b"\xb1\n", b"\xb0\n"
 HELP = (
     "#5 Request Motion Status", "#7 Request Controller Ready Status", "#24 Stop All Motion", "*IDN? Get Identity",
     "ATZ [{<AxisID> <LowVoltage>}] Auto Zero", "CSV? Get Current Syntax Version", "ERR? Get Error Number",
-    "FNL [{<AxisID>}] Move To Negative Limit", "FRF [{<AxisID>}] Move To Reference", "FRF? [{<AxisID>}] Referenced",
+    "FNL [{<AxisID>}] Move To Negative Limit", "FPL [{<AxisID>}] Move To Positive Limit",
+    "FRF [{<AxisID>}] Move To Reference", "FRF? [{<AxisID>}] Referenced",
     "HLP? List Commands", "HLT [{<AxisID>}] Halt Motion Smoothly", "MOV {<AxisID> <Position>} Set Target Position",
     "MOV? [{<AxisID>}] Get Target Position", "MVR {<AxisID> <Distance>} Set Target Relative",
     "ONT? [{<AxisID>}] Get On Target State", "POS? [{<AxisID>}] Get Real Position", "SAI? [ALL] Get Axis Identifiers",
@@ -111,6 +112,7 @@ class PiE709:
         self._error = 0
         self._servo = False
         self._referenced = not self._incremental
+        self._searching: Move | None = None
 
     def _tables(self) -> None:
         self._facts: dict[str, Callable[[], str]] = {
@@ -121,10 +123,10 @@ class PiE709:
             "SAI?": lambda: self._axis_id,
         }
         self._told: dict[str, Callable[[], str]] = {
-            "FRF?": lambda: f"{self._referenced:d}",
+            "FRF?": lambda: f"{self._found():d}",
             "MOV?": lambda: self._units(self._target_um - self._origin_um),
             "ONT?": lambda: f"{self._on_target():d}",
-            "POS?": lambda: self._units(self._axis.encoder_um() - self._origin_um),
+            "POS?": lambda: self._units(self._position_um()),
             "SVO?": lambda: f"{self._servo:d}",
             "TMN?": lambda: self._units(self._axis.limits.min_um),
             "TMX?": lambda: self._units(self._axis.limits.max_um),
@@ -138,9 +140,9 @@ class PiE709:
         }
         self._done: dict[str, Callable[[], None]] = {
             "ATZ": lambda: None,
-            "FNL": self._reference,
-            "FPL": self._reference,
-            "FRF": self._reference,
+            "FNL": lambda: self._search(self._axis.limits.min_um),
+            "FPL": lambda: self._search(self._axis.limits.max_um),
+            "FRF": lambda: self._search(0.0),
             "HLT": self._stop,
         }
 
@@ -210,13 +212,18 @@ class PiE709:
     # -- the axis ----------------------------------------------------------------------------------------------------
 
     def _drive(self, target_um: float) -> None:
-        if not (self._servo and self._referenced):
+        if not (self._servo and self._found()):
             raise GcsError(NOT_ALLOWED)
         limits = self._axis.limits
         if not limits.min_um <= target_um - self._origin_um <= limits.max_um:
             raise GcsError(OUT_OF_LIMITS)
         self._target_um = target_um
         self._axis.move_to(target_um)
+
+    def _position_um(self) -> float:
+        """Return what the sensor counts; a search that is over has set it."""
+        self._found()
+        return self._axis.encoder_um() - self._origin_um
 
     def _stop(self) -> None:
         self._axis.halt()
@@ -237,12 +244,20 @@ class PiE709:
             raise GcsError(BAD_VELOCITY)
         self._axis.set_speed(value * self._um_per_unit)
 
-    def _reference(self) -> None:
-        """Find the mark at the stage's own zero; a piezo has none and needs none."""
+    def _search(self, mark_um: float) -> None:
+        """Go to a mark, at the stage's own zero or an end of its travel; a piezo has none and needs none."""
         if not self._incremental:
             raise GcsError(UNKNOWN_COMMAND)
         if not self._servo:
             raise GcsError(NOT_ALLOWED)
-        self._origin_um, self._referenced = 0.0, True
-        self._target_um = 0.0
-        self._axis.move_to(0.0)
+        self._referenced, self._target_um = False, mark_um
+        self._axis.move_to(mark_um)
+        self._searching = self._axis.commanded
+
+    def _found(self) -> bool:
+        """Tell whether the reference is known: the search is over, and nothing came between."""
+        if self._searching is not None and not self._axis.moving():
+            self._referenced = self._axis.commanded is self._searching
+            self._searching = None
+            self._origin_um = 0.0 if self._referenced else self._origin_um
+        return self._referenced

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from devices.clock import SystemClock
 from devices.drivers import polled
 from devices.drivers.pi_gcs import PiStage, open_stage
-from devices.errors import DeviceError, MalformedReply, Refused, RigError
+from devices.errors import DeviceError, MalformedReply, Refused, RigError, StageStalled
 from devices.link import Link
 from devices.registry import DeviceContext
 from devices.rig import AxisSpec
@@ -35,7 +35,7 @@ TRAVEL = Limits(0.0, 400.0)
 REQUESTS = [
     pi_gcs.identity(), pi_gcs.axes(), pi_gcs.move("1", 5), pi_gcs.position("1"), pi_gcs.on_target("1"), pi_gcs.halt(),
     pi_gcs.servo("1"), pi_gcs.referenced("1"), pi_gcs.set_servo("1", on=True), pi_gcs.set_speed("1", 5),
-    pi_gcs.speed("1"), *pi_gcs.travel("1"), pi_gcs.error(),
+    pi_gcs.speed("1"), *pi_gcs.travel("1"), pi_gcs.error(), pi_gcs.reference("1", "switch"),
 ]  # fmt: skip
 
 
@@ -124,6 +124,74 @@ def test_speed_and_settings_of_an_inverted_axis():
 def test_units_have_to_be_said():
     with pytest.raises(RigError, match="units_per_um is missing"):
         open_stage(table(), DeviceContext(SystemClock()))
+
+
+def motor(clock: SimClock, at_um: float = 150.0, **changes: object) -> tuple[PiE709, Axis, PiStage]:
+    """A motor that was switched on somewhere, and its driver."""
+    axis = Axis(clock, TRAVEL, position_um=at_um)
+    twin = PiE709.c863(axis)
+    link = Link(Loopback(twin.feed, clock), clock, terminator=pi_gcs.TERMINATOR)
+    spec = table(units_per_um=0.001, **changes)
+    return twin, axis, PiStage(link, spec, clock, may_reference=spec.may_move_on_enable)
+
+
+def test_without_consent_nothing_moves_to_search_a_reference():
+    clock = SimClock()
+    twin, axis, stage = motor(clock)
+    with pytest.raises(DeviceError, match="not referenced") as caught:
+        stage.greet()
+    assert caught.value.code == "position-unknown"
+    assert "stage home --may-move" in caught.value.message()
+    assert (axis.encoder_um(), axis.moving()) == (150.0, False)
+    assert twin.feed(b"SVO? 1\n") == [b"1=0\n"], "not even the servo goes on"
+
+
+@pytest.mark.parametrize(("by", "at_um"), [("switch", 0.0), ("negative-limit", 0.0), ("positive-limit", 400.0)])
+def test_with_consent_a_motor_is_referenced_once(by: str, at_um: float):
+    clock = SimClock()
+    twin, axis, stage = motor(clock, may_move_on_enable=True, reference_by=by)
+    assert stage.greet() == pytest.approx(at_um, abs=0.01)
+    assert axis.encoder_um() == pytest.approx(at_um)
+    stage.move_to(30.0)
+    assert stage.settle(10.0) == pytest.approx(30.0, abs=0.01)
+    twin.power_cycle()
+    with pytest.raises(DeviceError, match="not referenced"):  # the consent was for the opening
+        stage.greet()
+    assert axis.encoder_um() == pytest.approx(30.0)
+
+
+def test_a_reference_that_is_not_found_is_a_stall_and_leaves_nothing_running():
+    clock = SimClock()
+    _, axis, stage = motor(clock, may_move_on_enable=True)
+    axis.obstruct(100.0)
+    with pytest.raises(StageStalled, match="no reference was found by its switch"):
+        stage.greet()
+    assert not axis.moving()
+
+
+def test_a_controller_that_cannot_search_says_so():
+    clock = SimClock()
+    twin, axis, stage = motor(clock, may_move_on_enable=True)
+    del twin._done["FRF"]
+    with pytest.raises(DeviceError) as caught:
+        stage.greet()
+    assert caught.value.code in ("device-garbled", "device-refused")
+    assert axis.encoder_um() == 150.0
+
+
+def test_a_motor_that_goes_off_during_the_search_is_not_believed():
+    clock = SimClock()
+    twin, axis, stage = motor(clock, may_move_on_enable=True)
+    sleep = clock.sleep
+
+    def power_cut(seconds: float) -> None:
+        sleep(seconds)
+        if axis.moving():
+            twin.power_cycle()
+
+    clock.sleep = power_cut
+    with pytest.raises(StageStalled):
+        stage.greet()
 
 
 def test_an_old_controller_without_the_question_for_its_reference():

@@ -355,7 +355,7 @@ def test_runs_of_a_template_count_up(small, recipe, tmp_path):
     template = ("--set", 'output.folder="{name}-{run:02d}"', "--set", "stack.step=10")
     for expected in ("t-01", "t-02"):
         result = stereotome("run", recipe, "-i", small, "--sim", *template, cwd=tmp_path)
-        assert result.out.strip() == expected
+        assert (result.code, result.out.strip()) == (0, expected), result.err
 
 
 UNCOMPRESSED = ["--set", "output.compression=none", "--set", "stack.step=0.8"]  # 26 planes, 400 kB and their folders

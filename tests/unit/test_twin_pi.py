@@ -102,6 +102,30 @@ def test_a_motor_counts_mm_and_moves_only_once_it_was_referenced():
     assert bench.axis.encoder_um() == pytest.approx(200)
 
 
+@pytest.mark.parametrize(("command", "at_um"), [("FRF", 0.0), ("FNL", 0.0), ("FPL", 400.0)])
+def test_a_search_takes_its_time_and_ends_where_its_mark_is(command: str, at_um: float):
+    bench = Bench(motor=True)
+    bench.axis.move_to(200.0)
+    bench.rest()
+    bench.ask(f"SVO 1 1\nVEL 1 0.1\n{command} 1\n")
+    bench.clock.sleep(1.0)
+    assert bench.ask("FRF? 1\nONT? 1\nMOV 1 0.1\nERR?\n") == "1=0\n1=0\n5\n"
+    bench.rest()
+    assert bench.ask("POS? 1\nFRF? 1\n") == f"1={at_um / 1000:.6f}\n1=1\n"
+    assert bench.axis.encoder_um() == pytest.approx(at_um)
+
+
+def test_a_search_that_is_stopped_finds_nothing():
+    bench = Bench(motor=True)
+    bench.axis.move_to(200.0)
+    bench.rest()
+    bench.ask("SVO 1 1\nVEL 1 0.1\nFRF 1\n")
+    bench.clock.sleep(1.0)
+    bench.ask("\x18")
+    bench.rest()
+    assert bench.ask("FRF? 1\nERR?\n") == "1=0\n10\n"
+
+
 def test_a_power_cycle_takes_servo_speed_and_a_motors_reference():
     bench = Bench(motor=True)
     bench.ask("SVO 1 1\nFRF 1\n")
