@@ -9,7 +9,9 @@ from __future__ import annotations
 import importlib
 import inspect
 import pkgutil
+from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from feeds import PROFILES, on_twin
@@ -18,14 +20,16 @@ from hypothesis import strategies as st
 
 import devices.wire
 from devices.errors import DeviceError, LinkError, MalformedReply, Refused
-from devices.wire.exchange import Request
 from devices.wire.open3d import Glasses, Settings
+
+if TYPE_CHECKING:
+    from devices.wire.exchange import Request
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 SAMPLES = {
-    "words": "W Z", "letter": "Z", "axis": "1", "card": "2", "word": "\\", "by": "switch", "glasses": Glasses.BOTH,
-    "settings": Settings(), "on": True, "enabled": True, "axis_mask": 4, "planes": 5, "timeout_ms": 500, "action": 1,
-    "count": 1, "steps": 5,
+    "words": "W Z", "letter": "Z", "axis": "1", "card": "2", "word": "\\", "by": "switch", "glasses": Glasses.STEREO,
+    "settings": Settings(*range(17)), "on": True, "enabled": True, "axis_mask": 4, "planes": 5, "timeout_ms": 500,
+    "action": 1, "count": 1, "steps": 5,
 }  # fmt: skip
 
 
@@ -67,26 +71,24 @@ def test_every_codec_is_met():
 
 
 @pytest.mark.parametrize("name", REQUESTS)
-@settings(max_examples=60)
+@settings(max_examples=40)
 @given(reply=st.binary(max_size=60) | disturbed())
 def test_any_bytes_decode_or_raise_one_of_ours(name: str, reply: bytes):
     request = REQUESTS[name]
     framed = request.framing(reply) if request.framing else reply
     if framed is None:
         return
-    try:
+    with suppress(MalformedReply, Refused):
         request.decode(framed)
-    except (MalformedReply, Refused) as error:
-        assert error.message().startswith("error[")
 
 
-@pytest.mark.parametrize("name", REQUESTS)
+@pytest.mark.parametrize("name", [name for name, request in REQUESTS.items() if request.framing])
 @given(data=st.binary(max_size=40), more=st.binary(max_size=20))
 @settings(max_examples=30)
 def test_a_framed_reply_does_not_depend_on_what_comes_after_it(name: str, data: bytes, more: bytes):
     framing = REQUESTS[name].framing
-    if framing is not None and (reply := framing(data)) is not None:
-        assert data.startswith(reply.rstrip(b"\r\n")) or reply in data
+    if (reply := framing(data)) is not None:
+        assert reply in data
         assert framing(data + more) is not None
 
 

@@ -110,6 +110,18 @@ def test_what_a_stage_cannot_do_is_said(bench_of):
         assert stage(bench, "show").code == 8
 
 
+def test_a_motor_without_reference_searches_it_only_with_consent(bench_of):
+    bench = bench_of("pi-gcs2", 0.001)
+    for command in (["show"], ["home"], ["move", "5"]):
+        refused = stage(bench, *command)
+        assert refused.code == 4
+        assert "error[position-unknown]" in refused.err
+        assert "stage home --may-move" in refused.err
+    assert bench.ask(do="truth")["z_um"] == 0.0
+    assert stage(bench, "home", "--may-move").out.startswith("z +0.000 µm")
+    assert stage(bench, "move", "5").out.startswith("z +5.000 µm")
+
+
 def test_ctrl_c_stops_a_move_by_hand(bench_of):
     bench = bench_of(more="speed_um_s = 5.0")
     command = [*PROGRAM, "stage", "move", "90", "-i", str(bench.instrument)]
