@@ -100,12 +100,35 @@ class StereoPairSpec(Table):
 
 
 class ProcessSpec(Table):
-    """``[process]``: what is computed while the planes arrive."""
+    """``[process]``: what is computed while the planes arrive.
+
+    Attributes
+    ----------
+    method : str
+        As ``stereotome process focus --method``.
+    threshold : float or None
+        Grey level for the method threshold.
+    band : int or None
+        The band of colour planes that decides.
+    """
 
     extended_focus: bool = False
     range_image: bool = False
     stereo_pair: StereoPairSpec | None = None
-    method: Literal["brightfield", "confocal"] = "brightfield"
+    method: Literal["brightfield", "transparent", "confocal", "threshold"] = "brightfield"
+    threshold: float | None = None
+    band: Annotated[int, Field(ge=0, le=2)] | None = None
+
+    @model_validator(mode="after")
+    def _threshold_belongs_to_its_method(self) -> ProcessSpec:
+        if (self.threshold is not None) != (self.method == "threshold"):
+            raise ValueError('method = "threshold" and threshold = 120 belong together')
+        return self
+
+    @property
+    def focus_options(self) -> dict[str, Any]:
+        """What the focus measurement is told."""
+        return self.model_dump(include={"method", "threshold", "band"}, exclude_none=True)
 
     @property
     def wanted(self) -> bool:

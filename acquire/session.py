@@ -330,7 +330,7 @@ def _start_observers(recipe: Recipe, ring: Path, folder: Path) -> list[Observer]
     process = recipe.process
     if not process.wanted:
         return []
-    options: dict[str, Any] = {"method": process.method}
+    options: dict[str, Any] = process.focus_options
     if process.stereo_pair is not None:
         options["angle_deg"] = process.stereo_pair.angle_deg
     name = "focus" if process.stereo_pair is None else "stereo"

@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 from focus_scene import scene
 
-from processing.focus import FocusSweep, compose, focus_stack
+from processing.focus import FocusSweep, focus_stack
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -100,9 +100,7 @@ def cost() -> Iterator[Row]:
             done.add(plane)
         yield f"{name}: bytes of state per pixel", done.state_bytes_per_pixel, "<= 20"
         yield f"{name}: CPU ms from last plane to range, {PLANES} planes", cpu_ms(done.finish), ""
-        last = cpu_ms(
-            lambda done=done, planes=planes: compose(planes, done.finish(), method="brightfield", unit="plane")
-        )
+        last = cpu_ms(lambda done=done, planes=planes: done.compose(planes, done.finish(), unit="plane"))
         yield f"{name}: CPU ms from last plane to range and extended focus", last, "<= 100"
 
 

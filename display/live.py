@@ -12,6 +12,7 @@ from display.shifted import comfortable_pixel, stereo_pair
 from processing import live
 from processing.outputs import write_durably
 from processing.pictures import captioned, png_bytes, preview
+from processing.range_operators import fill
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,7 +31,7 @@ def observe(ring: Path, run: Path, out: Path, options: dict[str, Any], ready: Ca
     """
     live.observe(ring, run, out, options, ready)
     image = preview(tifffile.imread(out / "extended_focus.tif"))
-    range_um, angle_deg = tifffile.imread(out / "range.tif"), options["angle_deg"]
+    range_um, angle_deg = fill(tifffile.imread(out / "range.tif"))[0], options["angle_deg"]
     # without a pixel size depth cannot be to scale; it is then what is comfortable to look at
     pixel_um = open_run(run).layout.pixel_um or comfortable_pixel(range_um, angle_deg=angle_deg)
     write_stereo(image, range_um, out, pixel_um=pixel_um, angle_deg=angle_deg)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as notation
 import sys
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path  # noqa: TC003  the command line is made from the annotations
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -12,17 +12,27 @@ from cyclopts import Parameter
 
 from acquire.progress import progress
 from devices.clock import SystemClock
-from processing.focus import FocusResult, Method, focus_stack
+from devices.errors import InputError
+from processing.focus import SHARPNESS, FocusResult, focus_stack
+from processing.focus_tracks import Method, Options  # noqa: TC001  as above
+from processing.focus_view import View, ViewedPlanes
 from processing.outputs import about_stack, check_folder, peak_memory_mb, write_focus_result
+from processing.range_operators import fill as fill_range
 from processing.stack import Stack, open_stack
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from devices.protocols import Clock
+    from processing.registration import Planes
+
+    Array = NDArray[Any]
 
 Registration = Literal["auto", "on", "off"]
 REGISTER: dict[Registration, bool | Literal["auto"]] = {"auto": "auto", "on": True, "off": False}
+BANDS = ("red", "green", "blue")
 Switch = Parameter(negative="")
 
 
@@ -31,6 +41,11 @@ def focus(
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     method: Method = "brightfield",
+    threshold: float | None = None,
+    band: Literal["red", "green", "blue"] | None = None,
+    azimuth_deg: float = 0.0,
+    tilt_deg: float = 0.0,
+    fill: Annotated[bool, Switch] = False,
     step_um: float | None = None,
     channel: int | None = None,
     time: int = 0,
@@ -49,7 +64,17 @@ def focus(
     output
         Folder for images, previews and report.
     method
-        brightfield: the sharpest plane of an opaque surface; confocal: the brightest one.
+        brightfield: the sharpest plane of an opaque surface; transparent: the same for specimens that are seen
+        through, each detail from where it is sharp; confocal: the brightest plane; threshold: the first bright enough.
+    threshold
+        Grey level from which a pixel is bright enough, for the method threshold.
+    band
+        The band of colour planes that decides; all of them together when left out.
+    azimuth_deg, tilt_deg
+        Look at the volume from the side, for the methods confocal and threshold: the line of sight leans by the tilt
+        from the z axis, towards the azimuth (0 right, 90 down).
+    fill
+        Fill the range from what is sure around, where it is not sure itself, and mark it in filled.tif.
     step_um
         Distance of planes in µm; goes before what the file says.
     channel
@@ -68,8 +93,11 @@ def focus(
     check_folder(output, overwrite=overwrite)
     opened = open_stack(stack, step_um=step_um, channel=channel, time=time)
     _say_notes([] if quiet else opened.notes)
-    work = Work(opened, method, REGISTER[register], SystemClock())
+    view = View(azimuth_deg, tilt_deg) if azimuth_deg or tilt_deg else None
+    options: Options = {"method": method, "threshold": threshold, "band": None if band is None else BANDS.index(band)}
+    work = Work(opened, options, view, REGISTER[register], SystemClock())
     result, facts = work.measure(quiet=quiet)
+    result = filled(result) if fill else result
     report = write_focus_result(result, output, pixel_um=opened.pixel_um, facts=facts, overwrite=overwrite)
     sys.stdout.write(notation.dumps(report, ensure_ascii=False) + "\n" if json else summary(report, output))
     return 0
@@ -80,23 +108,46 @@ class Work:
     """A stack to be measured and how."""
 
     stack: Stack
-    method: Method
+    options: Options
+    view: View | None
     register: bool | Literal["auto"]
     clock: Clock
 
     def measure(self, *, quiet: bool) -> tuple[FocusResult, dict[str, Any]]:
         """Measure the stack and return what was found and what it took."""
-        begin, count = self.clock.now(), len(self.stack)
-        with progress("measuring focus", count, quiet=quiet) as show:
+        begin = self.clock.now()
+        planes, z_um, options = self._seen()
+        with progress("measuring focus", len(planes), quiet=quiet) as show:
             result = focus_stack(
-                self.stack,
-                z_um=self.stack.z_um,
-                method=self.method,
+                planes,
+                z_um=z_um,
                 register=self.register,
-                progress=lambda share: show(round(share * count)),
+                progress=lambda share: show(round(share * len(planes))),
+                **options,
             )
         took = {"seconds": round(self.clock.now() - begin, 3), "peak_memory_mb": round(peak_memory_mb(), 1)}
-        return result, {**about_stack(self.stack), **took}
+        seen = None if self.view is None else asdict(self.view)
+        return result, {**about_stack(self.stack), "view": seen, **took}
+
+    def _seen(self) -> tuple[Planes, Array | None, Options]:
+        """Return the planes to be measured, their positions, and how."""
+        stack = self.stack
+        if self.view is None:
+            return stack, stack.z_um, self.options
+        if self.options["method"] in SHARPNESS:
+            raise InputError(
+                "sharpness cannot be measured from the side: planes are taken, and sharp, along z.",
+                fix="--method confocal, or --method threshold --threshold T",
+                code="focus-view",
+            )
+        planes = ViewedPlanes(stack, stack.z_um, stack.pixel_um, self.view, band=self.options["band"])
+        return planes, None if stack.z_um is None else planes.depth, {**self.options, "band": None}
+
+
+def filled(result: FocusResult) -> FocusResult:
+    """Return the result with what is not sure filled from around, and marked."""
+    range_, where = fill_range(result.range, result.confidence)
+    return replace(result, range=range_, filled=where)
 
 
 def _say_notes(notes: Sequence[str]) -> None:
@@ -107,8 +158,9 @@ def _say_notes(notes: Sequence[str]) -> None:
 def summary(report: dict[str, Any], folder: Path) -> str:
     """Return the lines a person reads at the end: what was measured, then every file."""
     span, unit = report["range"], "µm" if report["unit"] == "um" else "planes"
+    reached = "no range" if span["p1"] is None else f"range {span['p1']:.4g} … {span['p99']:.4g} {unit}"
     words = (
-        f"range {span['p1']:.4g} … {span['p99']:.4g} {unit}, sure in {report['share_confident']:.0%} of the pixels; "
+        f"{reached}, sure in {report['share_confident']:.0%} of the pixels; "
         f"noise {report['noise_grey_levels']:.2g} grey levels; {report['seconds']:.1f} s, "
         f"{report['peak_memory_mb']:.0f} MB at most"
     )

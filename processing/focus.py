@@ -10,41 +10,29 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-import cv2
 import numpy as np
 
 from devices.errors import InputError
-from processing.focus_kernels import (
-    BLOCK,
-    blend,
-    gradient_energy,
-    halve,
-    mean_of,
-    nearest_plane,
-)
-from processing.focus_windows import HALO, NOISE_ENERGY, WINDOWS, PeakTrack, doubled, half_shape, merge
+from processing.focus_kernels import BLOCK, blend, mean_of
+from processing.focus_pyramid import SoftPyramid
+from processing.focus_tracks import Measured, Method, one_band, read_only, track_for
+from processing.focus_windows import HALO, WINDOWS
 from processing.registration import SMALLEST_SIDE, RegisteredPlanes, placements, typical_step
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator
 
     from numpy.typing import NDArray
 
-    from processing.focus_windows import Fit
     from processing.registration import Planes
 
     Array = NDArray[Any]
-    Measured = tuple[Array, Array, Array, Array]  # position, confidence, width, plane
-
-Method = Literal["brightfield", "confocal"]
 
 CONFIDENT = 0.8
-PEAK_OF_NOISE = 6.0  # standard deviations that noise reaches above its mean somewhere in a stack, and some more
 REGISTER_FROM_PX = 1.0
 GATHER_SHARE = 0.45  # depth over which planes are averaged, to either side, as a share of the focus curve's width
-BINOMIAL = np.array([1, 4, 6, 4, 1], np.float32) / 16
+SHARPNESS = frozenset({"brightfield", "transparent"})
 SMALLEST_STACK = 3  # with fewer planes there is no peak to speak of
-MOST_GAIN = 2.0  # larger changes of brightness are no flicker
 NOISE_ROWS = 32  # every 32nd row is enough to estimate the camera's noise
 MASK_GAIN = 6.0  # of the mask [1 -2 1]⊗[1 -2 1] for white noise
 WEAKER_HALF = 0.3247  # mean absolute value of the weaker half of normal deviates
@@ -60,10 +48,11 @@ class RangeImage:
     range_ : array float32
         Position of best focus in the unit of ``z``: µm, or planes counted from 0.
     confidence : array float32
-        (max - mean) / mean of the sharpness through the stack, for confocal stacks (max - mean) / (mean + 6 noise) of
-        the brightness; 0 where nothing is known.
+        (max - mean) / mean of the sharpness through the stack; for confocal stacks (max - mean) / (mean + 6 noise) of
+        the brightness; for a threshold, by how much the brightest value passes it over 6 noise. 0 where nothing is
+        known.
     plane : array uint16
-        Plane nearest to the best focus; the brightest plane of a confocal stack.
+        Plane nearest to the best focus; the brightest plane of a confocal stack; the first one over the threshold.
     width : array float32
         Width of the focus curve at half its height, in the unit of ``z``; 0 where it has none.
     edge : array bool
@@ -91,7 +80,7 @@ class FocusResult:
     ----------
     extended_focus : array like a plane
         Every pixel from the planes where it is in focus.
-    range, confidence, plane
+    range, confidence, plane, width
         As in `RangeImage`.
     unit : {"um", "plane"}
         Unit of ``range``.
@@ -101,16 +90,20 @@ class FocusResult:
         Share of pixels with a confidence of at least ``parameters["confident"]``.
     parameters : dict
         Every choice that was made, also the ones made by the program.
+    filled : array bool, optional
+        Where the range was filled from around.
     """
 
     extended_focus: Array
     range: NDArray[np.float32]
     confidence: NDArray[np.float32]
     plane: NDArray[np.uint16]
+    width: NDArray[np.float32]
     unit: Literal["um", "plane"]
     noise: float
     share_confident: float
     parameters: dict[str, Any]
+    filled: NDArray[np.bool_] | None = None
 
 
 class FocusSweep:
@@ -120,24 +113,41 @@ class FocusSweep:
     ----------
     shape : (height, width)
         Size of a plane in pixels.
-    method : {"brightfield", "confocal"}
-        Sharpness of opaque surfaces, or brightness of optical sections.
+    method : Method
+        brightfield: sharpness of opaque surfaces; transparent: the same, with a picture of its own for specimens that
+        have no one depth; confocal: brightness of optical sections; threshold: first plane that is bright enough.
+    threshold : float, optional
+        Grey level for the method threshold.
+    band : int, optional
+        The band of colour planes that decides; all of them together when left out.
+
+    Raises
+    ------
+    InputError
+        ``focus-threshold``: the method threshold without one, or one without the method.
     """
 
-    def __init__(self, shape: tuple[int, int], *, method: Method = "brightfield") -> None:
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        *,
+        method: Method = "brightfield",
+        threshold: float | None = None,
+        band: int | None = None,
+    ) -> None:
         self.shape = shape
         self.method = method
         self.count = 0
         self.noise = np.inf
-        self._windows: list[PeakTrack] = []
-        self._energy: list[Array] = []
-        self._light_gain = 1
-        self._first_light = 0.0
+        self._band = band
+        self._threshold = threshold
+        self._track = track_for(method, shape, threshold)
+        self._soft = SoftPyramid(shape) if method == "transparent" else None
 
     @property
     def state_bytes_per_pixel(self) -> float:
         """Bytes of state for every pixel of a plane, work space included."""
-        held = sum(w.nbytes for w in self._windows) + sum(2 * e.nbytes for e in self._energy)
+        held = self._track.nbytes + (self._soft.nbytes if self._soft else 0)
         return held / (self.shape[0] * self.shape[1])
 
     def add(self, plane: Array) -> None:
@@ -145,41 +155,10 @@ class FocusSweep:
         check_plane(plane, self.shape)
         plane = read_only(plane)
         self.noise = min(self.noise, plane_noise(plane))
-        if self.method == "confocal":
-            self._add_brightness(plane)
-        else:
-            self._add_sharpness(plane)
+        self._track.add(one_band(plane, self._band), self.count)
+        if self._soft:
+            self._soft.add(plane, self.noise)
         self.count += 1
-
-    def _add_brightness(self, plane: Array) -> None:
-        light, self._light_gain = brightness(plane)
-        if not self._windows:
-            self._windows = [PeakTrack(self.shape, light.dtype.type)]
-        self._windows[0].add(light, self.count)
-
-    def _add_sharpness(self, plane: Array) -> None:
-        if not self._windows:
-            self._make_windows()
-        bands = 1 if plane.ndim == 2 else plane.shape[2]
-        gradient_energy(plane.reshape(plane.shape[0], -1), bands, self._lamp_gain(plane), self._energy[0])
-        for energy, window, coarser in zip(self._energy, self._windows, [*self._energy[1:], None], strict=True):
-            smooth = cv2.sepFilter2D(energy, -1, BINOMIAL, BINOMIAL, borderType=cv2.BORDER_REPLICATE)
-            window.add(smooth, self.count)
-            if coarser is not None:
-                halve(smooth, coarser)
-
-    def _lamp_gain(self, plane: Array) -> float:
-        """Gain that gives the plane the brightness of the first one: a flickering lamp must not look like focus."""
-        light = float(np.mean(cv2.mean(plane)[: 1 if plane.ndim == 2 else 3]))
-        self._first_light = self._first_light or light
-        return float(np.clip(self._first_light / light, 1 / MOST_GAIN, MOST_GAIN)) if light else 1.0
-
-    def _make_windows(self) -> None:
-        shape = self.shape
-        for _ in WINDOWS:
-            shape = half_shape(shape)
-            self._windows.append(PeakTrack(shape, np.float32))
-            self._energy.append(np.empty(shape, np.float32))
 
     def preview(self) -> RangeImage:
         """Return the range so far, in planes."""
@@ -199,32 +178,54 @@ class FocusSweep:
             No plane was added, or the positions are no strictly rising or falling sequence of finite numbers.
         """
         z = plane_positions(z_um, self.count)
-        fits = [window.fit(z) for window in self._windows]
-        measured = self._brightest(fits[0]) if self.method == "confocal" else self._sharpest(fits, z)
+        measured = self._track.measured(z, self.noise)
         if self.count < SMALLEST_STACK:
             measured = nothing_known(measured, z)
         position, confidence, width, plane = measured
         edge = (plane == 0) | (plane == self.count - 1)
         return RangeImage(position, confidence, plane, width, edge, self.noise, z)
 
-    def _sharpest(self, fits: list[Fit], z: NDArray[np.float64]) -> Measured:
-        merged = merge(fits, NOISE_ENERGY * self.noise**2)
-        position, confidence, width = (doubled(a, self.shape) for a in merged[:3])
-        plane = np.empty(self.shape, np.uint16)
-        nearest_plane(position.reshape(-1), z, plane.reshape(-1))
-        return position, confidence, width, plane
+    def compose(self, planes: Iterable[Array], image: RangeImage, *, unit: Literal["um", "plane"]) -> FocusResult:
+        """Make the extended focus for a finished range image and sum up what was found.
 
-    def _brightest(self, fit: Fit) -> Measured:
-        """Brightness of a pixel nothing shines in peaks somewhere, too: noise counts against the confidence."""
-        mean = fit.top / (1 + fit.confidence)
-        confidence = (fit.top - mean) / np.maximum(mean + PEAK_OF_NOISE * self._light_gain * self.noise, 1e-6)
-        return fit.position, confidence.astype(np.float32), fit.width, self._windows[0].plane
+        Parameters
+        ----------
+        planes : iterable of arrays
+            All planes again, in order; not looked at by the method transparent.
+        image : RangeImage
+            What `finish` returned.
+        unit : {"um", "plane"}
+            Unit of its positions.
+        """
+        reach = gather_reach(image) if self.method == "brightfield" else 0.0
+        picture = gather(planes, image, reach) if self._soft is None else self._soft.picture()
+        return FocusResult(
+            extended_focus=picture,
+            range=image.range_,
+            confidence=image.confidence,
+            plane=image.plane,
+            width=image.width,
+            unit=unit,
+            noise=image.noise,
+            share_confident=float(np.mean(image.confidence >= CONFIDENT)),
+            parameters={
+                "method": self.method,
+                "planes": image.z.size,
+                "threshold": self._threshold,
+                "band": self._band,
+                "confident": CONFIDENT,
+                "focus_curve_width": curve_width(image),
+                "gather_reach": reach,
+                "share_in_end_planes": float(np.mean(image.edge)),
+                **({"windows": [asdict(w) for w in WINDOWS], "halo": HALO} if self.method in SHARPNESS else {}),
+            },
+        )
 
 
 def nothing_known(measured: Measured, z: NDArray[np.float64]) -> Measured:
     """Keep the better plane of two, and claim nothing about what lies between them."""
     _, confidence, width, plane = measured
-    return z[plane].astype(np.float32), np.zeros_like(confidence), np.zeros_like(width), plane
+    return Measured(z[plane].astype(np.float32), np.zeros_like(confidence), np.zeros_like(width), plane)
 
 
 def gather(planes: Iterable[Array], image: RangeImage, reach: float) -> Array:
@@ -267,11 +268,13 @@ def block_bounds(position: Array, z: NDArray[np.float64], reach: float) -> Array
 
 
 def focus_stack(
-    planes: Sequence[Array],
+    planes: Planes,
     *,
     z_um: Array | None = None,
     method: Method = "brightfield",
     register: bool | Literal["auto"] = "auto",
+    threshold: float | None = None,
+    band: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> FocusResult:
     """Make the extended focus and the range image of a whole stack.
@@ -282,11 +285,11 @@ def focus_stack(
         Read one at a time, each of them twice.
     z_um : array (planes,), optional
         Position of every plane in µm; the range is in planes counted from 0 when left out.
-    method : {"brightfield", "confocal"}
+    method, threshold, band
         As in `FocusSweep`.
     register : bool or "auto"
-        Match the planes by translation and scale first. ``"auto"`` does it for brightfield stacks that move by a pixel
-        or more from plane to plane throughout; ``parameters["registration"]`` says what was done.
+        Match the planes by translation and scale first. ``"auto"`` does it where sharpness is measured and planes move
+        by a pixel or more from one to the next throughout; ``parameters["registration"]`` says what was done.
     progress : callable, optional
         Is told the share of the work done, 0 to 1.
 
@@ -296,14 +299,15 @@ def focus_stack(
         No planes, planes of different size, or positions that make no sense.
     """
     plane_positions(z_um, len(planes))
-    shape = planes[0].shape[:2]
+    height, width = planes[0].shape[:2]
+    shape = (height, width)
     checked = CheckedPlanes(planes, shape)
-    placed, registration = registered(checked, wanted=register if method == "brightfield" else register is True)
-    sweep = FocusSweep(shape, method=method)
+    placed, registration = registered(checked, wanted=register if method in SHARPNESS else register is True)
+    sweep = FocusSweep(shape, method=method, threshold=threshold, band=band)
     for plane in told(placed, progress, 0.0):
         sweep.add(plane)
-    image = sweep.finish(z_um)
-    result = compose(told(placed, progress, 0.5), image, method=method, unit="plane" if z_um is None else "um")
+    unit: Literal["um", "plane"] = "plane" if z_um is None else "um"
+    result = sweep.compose(told(placed, progress, 0.5), sweep.finish(z_um), unit=unit)
     result.parameters["registration"] = registration
     return result
 
@@ -311,7 +315,7 @@ def focus_stack(
 class CheckedPlanes:
     """Planes of a sequence, each refused with a clear error when it is read and does not fit the others."""
 
-    def __init__(self, planes: Sequence[Array], shape: tuple[int, int]) -> None:
+    def __init__(self, planes: Planes, shape: tuple[int, int]) -> None:
         self._planes, self._shape = planes, shape
 
     def __len__(self) -> int:
@@ -340,29 +344,6 @@ def registered(planes: Planes, *, wanted: bool | Literal["auto"]) -> tuple[Plane
         "reference_plane": reference,
         "scale": [p.scale for p in places],
     }
-
-
-def compose(planes: Iterable[Array], image: RangeImage, *, method: Method, unit: Literal["um", "plane"]) -> FocusResult:
-    """Gather the extended focus for a finished range image and sum up what was found."""
-    reach = gather_reach(image) if method == "brightfield" else 0.0
-    return FocusResult(
-        extended_focus=gather(planes, image, reach),
-        range=image.range_,
-        confidence=image.confidence,
-        plane=image.plane,
-        unit=unit,
-        noise=image.noise,
-        share_confident=float(np.mean(image.confidence >= CONFIDENT)),
-        parameters={
-            "method": method,
-            "planes": image.z.size,
-            "confident": CONFIDENT,
-            "focus_curve_width": curve_width(image),
-            "gather_reach": reach,
-            "share_in_end_planes": float(np.mean(image.edge)),
-            **({"windows": [asdict(window) for window in WINDOWS], "halo": HALO} if method == "brightfield" else {}),
-        },
-    )
 
 
 def curve_width(image: RangeImage) -> float:
@@ -415,21 +396,6 @@ def check_plane(plane: Array, shape: tuple[int, int]) -> None:
         )
     if plane.dtype not in (np.uint8, np.uint16):
         raise InputError(f"A plane is {plane.dtype}.", fix="give 8 or 16 bit unsigned planes.", code="stack-dtype")
-
-
-def brightness(plane: Array) -> tuple[Array, int]:
-    """Return grey values or luminance with their gain: 8-bit colours are weighed in 16 bit, so faint blue counts."""
-    if plane.ndim == 2:
-        return plane, 1
-    gain = 256 if plane.dtype == np.uint8 else 1
-    return read_only(cv2.cvtColor(plane.astype(np.uint16) * np.uint16(gain), cv2.COLOR_RGB2GRAY)), gain
-
-
-def read_only(plane: Array) -> Array:
-    """Return a contiguous view that cannot be written: one type of array, so every kernel is compiled once."""
-    view = np.ascontiguousarray(plane).view()
-    view.flags.writeable = False
-    return view
 
 
 def plane_noise(plane: Array) -> float:

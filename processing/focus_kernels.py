@@ -116,6 +116,24 @@ def track_peak(value: Array, before: Array, earlier: Array, k: int, plane: Array
 
 
 @compiled
+def first_above(
+    value: Array, threshold: float, k: int, plane: Array, fraction: Array, before: Array, top: Array
+) -> None:
+    """Take plane ``k`` into the search for the first value at or over ``threshold``; all arrays are flat.
+
+    ``fraction`` is how far before plane ``plane`` the threshold was passed, in steps, by linear interpolation; NaN
+    while it was not. ``top`` is the largest value so far.
+    """
+    for i in range(value.size):
+        now = np.float32(value[i])
+        top[i] = max(top[i], now)
+        if np.isnan(fraction[i]) and now >= threshold:
+            plane[i] = k
+            fraction[i] = 0.0 if k == 0 else (now - threshold) / (now - before[i])
+        before[i] = now
+
+
+@compiled
 def vertex(offset: Array, value: Array) -> tuple[float, float]:
     """Vertex and curvature of the weighted parabola y = -1/√value over ``offset``, weights value².
 
@@ -184,6 +202,36 @@ def fit_peaks(
         position[i] = z[k] + min(max(shift, min(low, high)), max(low, high))
         if bend < 0:
             width[i] = HALF_VALUE / np.sqrt(-bend)
+
+
+@compiled
+def explained(
+    top: Array, position: Array, width: Array, offsets: Array, reach: float, share: float, out: Array
+) -> None:
+    """Mark what may be the blur of a stronger neighbour that is in focus elsewhere; arrays (height, width).
+
+    An edge at ``d`` from its focus is spread over about ``reach`` × d / w pixels, w being the width of its focus curve;
+    what is weaker there than ``share`` of the edge in focus cannot be told from that.
+
+    Parameters
+    ----------
+    offsets : array (neighbours, 2) int
+        Rows and columns to look at.
+    out : array bool
+    """
+    height, columns = top.shape
+    for i in range(height):
+        for j in range(columns):
+            out[i, j] = False
+            for n in range(offsets.shape[0]):
+                a, b = i + offsets[n, 0], j + offsets[n, 1]
+                if not (0 <= a < height and 0 <= b < columns) or top[a, b] <= top[i, j] or width[a, b] <= 0:
+                    continue
+                ratio = abs(position[a, b] - position[i, j]) / width[a, b]
+                distance = np.sqrt(offsets[n, 0] ** 2 + offsets[n, 1] ** 2)
+                if ratio > 1 and distance <= reach * ratio and top[i, j] <= share * top[a, b]:
+                    out[i, j] = True
+                    break
 
 
 HALF_VALUE = 2 * np.sqrt(np.sqrt(2.0) - 1)  # full width at half value of 1/(1 + x²)²

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import cv2
 import numpy as np
 
-from processing.focus_kernels import SAMPLES, fit_peaks, track_peak, widen
+from processing.focus_kernels import SAMPLES, explained, fit_peaks, track_peak, widen
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -39,6 +39,8 @@ class Window:
 # Each window is twice as wide as the one before: about 2, 4, 8 and 16 pixels rms.
 WINDOWS = (Window(1.2, 2.0), Window(0.65, 1.2), Window(0.4, 0.8), Window(0.0, 0.0))
 HALO = 0.25  # a peak weaker than this share of its wider window's is the blurred image of a neighbour
+BLUR_REACH = 8.0  # pixels of the plane over which an edge is spread a focus curve's width away from its focus
+HALVED = 2  # pixels of the plane in one of the finest window
 NOISE_ENERGY = 0.375  # mean squared Sobel gradient of white noise of variance 1, both directions
 
 
@@ -101,6 +103,27 @@ def merge(fits: list[Fit], noise_energy: float) -> Fit:
         sure = believed(fit, window, noise_energy) & (fit.top >= HALO * wider.top)
         merged = Fit(*(np.where(sure, fine, coarse) for fine, coarse in zip(fit, wider, strict=True)))
     return merged._replace(position=cv2.medianBlur(merged.position, 5))
+
+
+def guarded(fit: Fit) -> Fit:
+    """Take the confidence from peaks that a stronger neighbour's blur explains: haloes around edges out of focus."""
+    step = 2
+    top, position, width = (np.ascontiguousarray(a[::step, ::step]) for a in (fit.top, fit.position, fit.width))
+    halo = np.empty(top.shape, np.bool_)
+    explained(top, position, width, RINGS, BLUR_REACH / (step * HALVED), HALO, halo)
+    marked = cv2.medianBlur(halo.astype(np.float32), 3)
+    spread = cv2.resize(marked, fit.top.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return fit._replace(confidence=fit.confidence * (1 - spread))
+
+
+def rings() -> NDArray[np.int64]:
+    """Offsets of neighbours in eight directions, at distances that grow by half."""
+    distances = (1, 2, 3, 4, 6, 9, 13, 19)
+    directions = [(np.sin(a), np.cos(a)) for a in np.arange(16) * np.pi / 8]
+    return np.unique(np.rint([(d * y, d * x) for d in distances for y, x in directions]).astype(np.int64), axis=0)
+
+
+RINGS = rings()
 
 
 def believed(fit: Fit, window: Window, noise_energy: float) -> NDArray[np.bool_]:

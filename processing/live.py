@@ -7,14 +7,14 @@ without registration.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from acquire.ring import RingReader, WriterGone
 from acquire.store import RunEnd, open_run
 from devices.clock import SystemClock
-from processing.focus import FocusResult, FocusSweep, compose, focus_stack
+from processing.focus import FocusResult, FocusSweep, focus_stack
 from processing.outputs import about_stack, peak_memory_mb, write_focus_result
 from processing.stack import open_stack
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from acquire.frame import Frame
     from acquire.store import StoredRun
     from devices.protocols import Clock
-    from processing.focus import Method
+    from processing.focus_tracks import Options
 
     Array = NDArray[Any]
 
@@ -43,15 +43,14 @@ class LiveFocus:
     ----------
     run : StoredRun
         The run's folder, being written.
-    method : {"brightfield", "confocal"}
-        As in `FocusSweep`.
+    options : Options
+        Of `FocusSweep`.
     """
 
-    def __init__(self, run: StoredRun, method: Method) -> None:
+    def __init__(self, run: StoredRun, options: Options) -> None:
         self.run = run
-        self.method = method
         height, width = run.layout.shape[:2]
-        self._sweep = FocusSweep((height, width), method=method)
+        self._sweep = FocusSweep((height, width), **options)
         self._waiting: dict[int, Frame] = {}
         self._z_um: list[float] = []
         self._kept: list[Array] = []
@@ -106,9 +105,8 @@ class LiveFocus:
         if not (self.complete and in_order and self._kept):
             return None
         known = z_um if z_um.size > 1 else None
-        result = compose(
-            self._kept, self._sweep.finish(known), method=self.method, unit="plane" if known is None else "um"
-        )
+        image = self._sweep.finish(known)
+        result = self._sweep.compose(self._kept, image, unit="plane" if known is None else "um")
         result.parameters["registration"] = {"applied": False, "why": "planes are not moved while they are taken"}
         return result
 
@@ -121,13 +119,13 @@ def observe(ring: Path, run: Path, out: Path, options: dict[str, Any], ready: Ca
     ring, run, out : Path
         The run's ring, its folder, and where the results go.
     options : dict
-        ``method``: "brightfield" or "confocal".
+        ``method``, ``threshold`` and ``band`` as in `FocusSweep`.
     ready : callable
         As in `follow_run`.
     """
     clock = SystemClock()
     begin_s = clock.now()
-    result, late_s = follow_run(ring, run, method=options.get("method", "brightfield"), ready=ready, clock=clock)
+    result, late_s = follow_run(ring, run, options=focus_options(options), ready=ready, clock=clock)
     measured_s = clock.now() - begin_s
     wait_for_end(open_run(run), clock)
     stack = open_stack(run)
@@ -156,14 +154,19 @@ def wait_for_end(run: StoredRun, clock: Clock) -> None:
         run.refresh()
 
 
-def from_folder(run: StoredRun, method: Method) -> FocusResult:
+def focus_options(given: dict[str, Any]) -> Options:
+    """Return what is for the focus measurement among the options of an observer."""
+    return cast("Options", {name: given[name] for name in ("method", "threshold", "band") if name in given})
+
+
+def from_folder(run: StoredRun, options: Options) -> FocusResult:
     """Measure the finished run's folder, as `stereotome process focus` does without registration."""
     stack = open_stack(run.folder)
-    return focus_stack(stack, z_um=stack.z_um, method=method, register=False)
+    return focus_stack(stack, z_um=stack.z_um, register=False, **options)
 
 
 def follow_run(
-    ring: Path, folder: Path, *, method: Method, ready: Callable[[], None], clock: Clock
+    ring: Path, folder: Path, *, options: Options, ready: Callable[[], None], clock: Clock
 ) -> tuple[FocusResult, float]:
     """Measure a run while it is taken.
 
@@ -171,8 +174,8 @@ def follow_run(
     ----------
     ring, folder : Path
         The run's ring and its folder.
-    method : {"brightfield", "confocal"}
-        As in `FocusSweep`.
+    options : Options
+        Of `FocusSweep`.
     ready : callable
         Called once when frames are being watched and no compiling stands in the way any more.
 
@@ -189,20 +192,20 @@ def follow_run(
         The run ended without a plane.
     """
     with RingReader.attach(ring, "latest", clock=clock) as reader:
-        live = LiveFocus(open_run(folder), method)
-        warm(live.run, method)
+        live = LiveFocus(open_run(folder), options)
+        warm(live.run, options)
         ready()
         follow(reader, live)
     last_s = clock.now()
     result = live.result()
     if result is None:
         wait_for_end(live.run, clock)
-        result = from_folder(live.run, method)
+        result = from_folder(live.run, options)
     return result, clock.now() - last_s
 
 
-def warm(run: StoredRun, method: Method) -> None:
+def warm(run: StoredRun, options: Options) -> None:
     """Have everything compiled or loaded before the first frame comes."""
     layout = run.layout
     shape = (WARM_SIDE, WARM_SIDE, *layout.shape[2:])
-    focus_stack(list(np.zeros((3, *shape), layout.dtype)), method=method, register=False)
+    focus_stack(list(np.zeros((3, *shape), layout.dtype)), register=False, **options)

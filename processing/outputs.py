@@ -23,7 +23,7 @@ import tifffile
 
 from acquire.ome_zarr import sync_folder
 from devices.errors import InputError, StoreError
-from processing.pictures import confidence_map, png_bytes, preview, range_map
+from processing.pictures import confidence_map, png_bytes, preview, range_map, width_map
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -38,11 +38,14 @@ FILES = (
     "range.tif",
     "confidence.tif",
     "plane.tif",
+    "width.tif",
     "extended_focus.png",
     "range.png",
     "confidence.png",
+    "width.png",
     "report.json",
 )
+REPORT, FILLED = "report.json", "filled.tif"
 FORMAT, FORMAT_VERSION = "stereotome-focus", 1
 PACKAGES = ("stereotome", "numpy", "opencv-contrib-python-headless", "numba", "tifffile")
 FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
@@ -59,7 +62,7 @@ def check_folder(folder: Path, *, overwrite: bool = False) -> None:
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is a file.", fix="name a folder: -o DIR", code="output-exists")
-    there = [name for name in FILES if (folder / name).exists()]
+    there = [name for name in (*FILES, FILLED) if (folder / name).exists()]
     if there and not overwrite:
         raise InputError(
             f"{folder} holds results already: {', '.join(there)}. Nothing was started.",
@@ -104,35 +107,49 @@ def write_focus_result(
         ``disk-full`` or ``store``: the disk refused; earlier results are as they were.
     """
     check_folder(folder, overwrite=overwrite)
-    report = {**_measured(result), "pixel_um": pixel_um, **(facts or {}), "versions": versions(), "files": list(FILES)}
+    contents = _contents(result, pixel_um)
+    files = [*contents, REPORT]
+    report = {**_measured(result), "pixel_um": pixel_um, **(facts or {}), "versions": versions(), "files": files}
+    contents[REPORT] = (json.dumps(report, indent=1, ensure_ascii=False, default=_plain) + "\n").encode()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".part-", dir=folder) as aside:
-            for name, content in _contents(result, pixel_um, report):
+            for name, content in contents.items():
                 write_durably(Path(aside) / name, content)
-            for name in FILES:
+            for name in files:
                 (Path(aside) / name).replace(folder / name)
+            if FILLED not in files:
+                (folder / FILLED).unlink(missing_ok=True)
         sync_folder(folder)
     except OSError as error:
         raise disk_error(folder, error) from None
     return report
 
 
-def _contents(result: FocusResult, pixel_um: float | None, report: dict[str, Any]) -> list[tuple[str, bytes]]:
-    """Encode every file, in the order of ``FILES``."""
+def _contents(result: FocusResult, pixel_um: float | None) -> dict[str, bytes]:
+    """Encode every image."""
     confident = float(result.parameters["confident"])
-    span = f"range in {'um' if result.unit == 'um' else 'planes counted from 0'}"
-    encoded = (
-        tiff_bytes(result.extended_focus, pixel_um, "extended focus"),
-        tiff_bytes(result.range, pixel_um, span),
-        tiff_bytes(result.confidence, pixel_um, "confidence of the range"),
-        tiff_bytes(result.plane, pixel_um, "plane nearest to the best focus, counted from 0"),
-        png_bytes(preview(result.extended_focus)),
-        png_bytes(range_map(result.range, result.confidence, confident, result.unit, pixel_um)),
-        png_bytes(confidence_map(result.confidence, confident, pixel_um)),
-        (json.dumps(report, indent=1, ensure_ascii=False, default=_plain) + "\n").encode(),
-    )
-    return list(zip(FILES, encoded, strict=True))
+    unit = "um" if result.unit == "um" else "planes"
+    span = f"range in {unit}{'' if result.unit == 'um' else ' counted from 0'}"
+    images = {
+        "extended_focus.tif": (result.extended_focus, "extended focus"),
+        "range.tif": (result.range, span),
+        "confidence.tif": (result.confidence, "confidence of the range"),
+        "plane.tif": (result.plane, "plane nearest to the best focus, counted from 0"),
+        "width.tif": (result.width, f"width of the focus curve at half its height in {unit}; 0 unknown"),
+    }
+    if result.filled is not None:
+        images[FILLED] = (np.where(result.filled, np.uint8(255), np.uint8(0)), "255 where the range was filled")
+    pictures = {
+        "extended_focus.png": preview(result.extended_focus),
+        "range.png": range_map(result.range, result.confidence, confident, result.unit, pixel_um),
+        "confidence.png": confidence_map(result.confidence, confident, pixel_um),
+        "width.png": width_map(result.width, result.confidence, confident, result.unit, pixel_um),
+    }
+    return {
+        **{name: tiff_bytes(image, pixel_um, words) for name, (image, words) in images.items()},
+        **{name: png_bytes(picture) for name, picture in pictures.items()},
+    }
 
 
 def tiff_bytes(image: Array, pixel_um: float | None, description: str) -> bytes:
@@ -146,16 +163,18 @@ def tiff_bytes(image: Array, pixel_um: float | None, description: str) -> bytes:
 
 
 def _measured(result: FocusResult) -> dict[str, Any]:
-    sure = result.confidence >= result.parameters["confident"]
-    trusted = result.range[sure] if sure.any() else result.range
-    percentiles = np.percentile(trusted, (0, 1, 50, 99, 100))
+    known = np.isfinite(result.range)
+    sure = known & (result.confidence >= result.parameters["confident"])
+    trusted = result.range[sure] if sure.any() else result.range[known]
+    percentiles = np.percentile(trusted, (0, 1, 50, 99, 100)) if trusted.size else [None] * 5
     return {
         "format": FORMAT,
         "version": FORMAT_VERSION,
         "method": result.parameters["method"],
         "unit": result.unit,
-        "range": dict(zip(("min", "p1", "median", "p99", "max"), map(float, percentiles), strict=True)),
+        "range": dict(zip(("min", "p1", "median", "p99", "max"), percentiles, strict=True)),
         "share_confident": result.share_confident,
+        "share_filled": None if result.filled is None else float(np.mean(result.filled)),
         "noise_grey_levels": float(result.noise),
         "parameters": result.parameters,
     }

@@ -46,7 +46,10 @@ def preview(image: Array) -> Picture:
 
 def shown_limits(values: Array, trusted: NDArray[np.bool_] | None = None) -> tuple[float, float]:
     """Return the values between which colours are spread, from the pixels that can be trusted where there are any."""
-    chosen = values[trusted] if trusted is not None and trusted.any() else values
+    known = np.isfinite(values)
+    chosen = values[trusted & known] if trusted is not None and (trusted & known).any() else values[known]
+    if not chosen.size:
+        return -0.5, 0.5
     low, high = (float(v) for v in np.percentile(chosen, LIMITS_PERCENT))
     return (low, high) if high > low else (low - 0.5, low + 0.5)
 
@@ -85,6 +88,14 @@ def confidence_map(confidence: Array, confident: float, pixel_um: float | None) 
         f"Confidence of the range; sure from {confident:g}", "confidence: height of the peak over the mean"
     )
     return draw_map(confidence, (0.0, high), words, CONFIDENCE_COLOURS, pixel_um)
+
+
+def width_map(values: Array, confidence: Array, confident: float, unit: str, pixel_um: float | None) -> Picture:
+    """Draw the width of the focus curve, 0 where it has none; arguments as in `range_map`."""
+    _, high = shown_limits(values, (confidence >= confident) & (values > 0))
+    word = "µm" if unit == "um" else "planes"
+    words = MapWords("Width of the focus curve at half its height; 0 where it has none", f"width, {word}")
+    return draw_map(values, (0.0, high), words, CONFIDENCE_COLOURS, pixel_um)
 
 
 def draw_map(

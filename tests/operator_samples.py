@@ -52,7 +52,17 @@ def smoothed_by_definition(layers: Layers, params: dict[str, Any]) -> Layers:
     return {"range": np.where(known, total / ndimage.gaussian_filter(weight, sigma, mode="mirror"), np.nan)}
 
 
+def focal_stack() -> Layers:
+    """Nine planes of a slope."""
+    texture = np.random.default_rng(3).normal(size=(40, 56)).astype(np.float32)
+    planes = [cv2.GaussianBlur(texture, (0, 0), 0.4 + 0.5 * abs(k - 4)) for k in range(9)]
+    volume = np.clip(128 + 60 * np.array(planes), 0, 255).astype(np.uint8)
+    return {"volume": volume, "z_um": np.arange(9) * 0.5, "pixel_um": 0.25}
+
+
 SAMPLES: dict[str, Sample] = {
+    "focus.stack": lambda: (focal_stack(), {"method": "transparent"}),
+    "focus.view": lambda: (focal_stack(), {"azimuth_deg": 20.0, "tilt_deg": 50.0}),
     "range.fill": lambda: (relief(), {}),
     "range.level": lambda: (relief(), {}),
     "range.median": lambda: (relief(holes=False), {"side_px": 5}),

@@ -84,7 +84,7 @@ def test_observer_writes_what_the_command_writes(tmp_path, method, bands):
 
 
 def live_on(bench: Bench) -> LiveFocus:
-    return LiveFocus(open_run(bench.folder), "brightfield")
+    return LiveFocus(open_run(bench.folder), {"method": "brightfield"})
 
 
 def seen_by(bench: Bench, live: LiveFocus, watched: set[int], stack: np.ndarray) -> None:
@@ -138,7 +138,7 @@ def test_cancelled_run_is_measured_from_its_folder(tmp_path):
             bench.show(k, pixels)
         bench.end(RunEnd.CANCELLED)
 
-    result, _ = follow_run(path, bench.folder, method="brightfield", ready=cancel, clock=SystemClock())
+    result, _ = follow_run(path, bench.folder, options={"method": "brightfield"}, ready=cancel, clock=SystemClock())
     assert ready
     np.testing.assert_array_equal(result.range, from_disk(bench.folder).range)
 
@@ -149,7 +149,7 @@ def test_run_without_a_plane_is_said(tmp_path):
         follow_run(
             bench.ring.path,
             bench.folder,
-            method="confocal",
+            options={"method": "confocal"},
             ready=lambda: bench.end(RunEnd.CANCELLED),
             clock=SystemClock(),
         )

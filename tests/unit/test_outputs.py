@@ -34,6 +34,7 @@ def made(dtype: str = "uint16", *, colour: bool = False, unit: str = "um") -> Fo
         range=RANGE,
         confidence=confidence,
         plane=np.rint(RANGE + 3).astype(np.uint16),
+        width=np.full(RANGE.shape, 2, np.float32),
         unit=unit,  # type: ignore[arg-type]
         noise=1.5,
         share_confident=0.75,

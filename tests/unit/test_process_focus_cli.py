@@ -68,6 +68,34 @@ def test_a_folder_becomes_all_files_and_the_range_is_right(
     assert "100%" in said.err
 
 
+def test_filled_holes_are_marked_and_a_stale_mark_goes(stack: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert focus(stack, "-o", out, "-q", "--method", "threshold", "--threshold", 190, "--fill") == 0
+    marked, confidence = (tifffile.imread(out / f"{name}.tif") for name in ("filled", "confidence"))
+    np.testing.assert_array_equal(marked == 255, confidence < 0.8)
+    assert marked.any()
+    assert np.isfinite(tifffile.imread(out / "range.tif")).all()
+    assert focus(stack, "-o", out, "-q", "--method", "threshold", "--threshold", 190, "--overwrite") == 0
+    assert not (out / "filled.tif").exists()
+    assert np.isnan(tifffile.imread(out / "range.tif")).any()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--method", "threshold"], "needs a threshold"),
+        (["--tilt-deg", 30], "cannot be measured from the side"),
+        (["--tilt-deg", "nan", "--method", "confocal"], "angles that are no numbers"),
+    ],
+)
+def test_senseless_methods_are_one_clear_line(
+    stack: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[object], words: str
+) -> None:
+    assert focus(stack, "-o", tmp_path / "out", *options) == 2
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_without_spacing_the_range_is_in_planes_and_said_so(
     stack: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
