@@ -107,10 +107,11 @@ def run(
     loaded = None if recipe is None else load_recipe(recipe, tuple(given for given in set_ if given not in on_rig))
     stored = None if resume is None else interrupted_run(resume, loaded)
     tell = _json_line if json_ else _nothing
-    options = Options(attended=(sys.stdin.isatty() if on_hold is None else on_hold == "ask"))
+    options = Options(inspect=None, attended=(sys.stdin.isatty() if on_hold is None else on_hold == "ask"))
     events: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
     with ExitStack() as stack:
-        spec = _instrument(stack, instrument, on_rig, sim=sim)
+        cuts = loaded is not None and loaded.sections is not None
+        spec = _instrument(stack, instrument, on_rig, sim=sim, block=cuts)
         if dry_run and loaded is not None:
             return _dry_run(loaded, spec, out, tell)
         if stored is not None:
@@ -168,14 +169,15 @@ def _resumed(
     return resumed_session(stored, rig, CLOCK, tell, options)
 
 
-def _instrument(stack: ExitStack, path: Path | None, overrides: Sequence[str], *, sim: bool) -> RigSpec:
+def _instrument(stack: ExitStack, path: Path | None, overrides: Sequence[str], *, sim: bool, block: bool) -> RigSpec:
+    """Return the instrument; ``block`` puts a microtome on the simulated bench when no instrument is named."""
     if not sim:
         if path is None:
             raise PlanError("no instrument is given.", fix=("name its file: -i RIG.toml", "work without one: --sim"))
         return load_rig(path, overrides)
     spec = None if path is None else load_rig(path, overrides)
     scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="stereotome-bench-")))
-    bench = stack.enter_context(simulated_bench(path, scratch, overrides))
+    bench = stack.enter_context(simulated_bench(path, scratch, overrides, block=block))
     return simulated_rig(bench, spec)
 
 

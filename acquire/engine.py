@@ -5,14 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
+from acquire.autofocus import Focus
 from acquire.control import Cancelled, Control, Held
+from acquire.focusing import Focusing
 from acquire.frame import Missed
 from acquire.gate import TakesFrames
 from acquire.inspection import Hands, Inspection
+from acquire.plan import Plane
 from acquire.recorder import DiskLow
 from acquire.removal import Removal
 from acquire.run_plan import Kind, RunPlan, Step, run_plan
 from acquire.sequence import TriggeredStack
+from acquire.snap import snap
 from acquire.standing import AGAIN, END, ENDS, NOTHING_REMOVED, Standing
 from acquire.state import FINAL, Board, Phase, Question, RunState, RunStatus, Scope
 from acquire.store import RunEnd
@@ -33,6 +37,8 @@ from devices.values import to_um
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
+    import numpy as np
+
     from acquire.plan import StackPlan
     from acquire.sequence import TakenPlane
     from acquire.verdict import Inspect, SectionPlanes
@@ -41,6 +47,7 @@ if TYPE_CHECKING:
 __all__ = ["FINAL", "Phase", "Policy", "Run", "RunState", "RunStatus"]
 
 LEAVE_OUT = "leave-out"
+UNFOCUSED = Focus()
 MOVING = {Phase.MOVING, Phase.SETTLING, Phase.PARKING, Phase.FOCUSING}
 
 
@@ -145,6 +152,8 @@ class Run:
         What an earlier part of the run did with the feed.
     committed : int
         Sections an earlier part of the run completed.
+    focus : Focus
+        Where an earlier part of the run left the focus.
     """
 
     def __init__(
@@ -161,6 +170,7 @@ class Run:
         committed: int = 0,
         known: Standing = NOTHING_REMOVED,
         inspect: Inspect = no_inspection,
+        focus: Focus = UNFOCUSED,
         switch_band: Callable[[int], None] = lambda _: None,
         utc_ns: Callable[[], int] = lambda: 0,
         tell: Callable[[dict[str, Any]], None] = lambda _: None,
@@ -195,11 +205,15 @@ class Run:
         self._triggered = policy.triggered and not self._recorded  # the rest of a run is taken plane by plane
         self._removal = self._make_removal(known)
         self._inspection = self._make_inspection(inspect)
+        self._focusing = Focusing(
+            self._plan, stage.limits, self._durable_planes, self._picture, self._note, focus=focus
+        )
         self._begin_s = clock.now()
         self.error: StereotomeError | None = None
         self.held: Question | None = None
         self._steps: dict[Kind, Callable[[Step], None]] = {
             Kind.WAIT: self._wait,
+            Kind.FOCUS: self._focus,
             Kind.EXPOSE: self._expose,
             Kind.COMMIT: self._commit,
             Kind.INSPECT: lambda step: self._inspection.look(step.section),
@@ -379,6 +393,29 @@ class Run:
             self._control.heed(Scope.SECTION)
             self._clock.sleep(min(left_s, 0.05))
 
+    def _focus(self, step: Step) -> None:
+        """Bring the focus where the section's planes are to be taken, unless some of them are taken already."""
+        if not self._recorded.intersection(self._plan.slots_of(step.section)):
+            self._board.phase = Phase.FOCUSING
+            self._focusing.before(step.section)
+            self._taker.forget_approach()
+
+    def _picture(self, z_nm: int) -> np.ndarray:
+        """Take a picture for the autofocus: nothing of it is kept."""
+        self._choose_band(0)
+        self._camera.stop(CAMERA_STOP_S)
+        z_um = to_um(z_nm)
+        for target_nm in self._plan.stack.moves_nm(Plane(0, z_nm), None):
+            z_um = self._mover.move(target_nm, Phase.FOCUSING)
+        pixels, _ = snap(self._camera, self._clock, self._plan.exposure_ms(0), z_um)
+        self._taker.arm()
+        return pixels
+
+    def _plane(self, number: int) -> Plane:
+        """Return a plane of the plan where the focus has it now."""
+        planned = self._plan.stack.plane(number)
+        return Plane(number, planned.z_nm + self._focusing.focus.offset_nm)
+
     def _expose(self, step: Step) -> None:
         slot = self._plan.slot(step.section, step.band, step.plane)
         if slot in self._recorded:
@@ -437,14 +474,13 @@ class Run:
         self._tell({"event": "warn", "plane": step.plane, "code": error.code, "message": str(error)})
 
     def _take(self, step: Step) -> None:
-        plane = self._plan.stack.plane(step.plane)
-        place = Place(step.section, step.band, plane, self._plan.exposure_ms(step.band))
+        place = Place(step.section, step.band, self._plane(step.plane), self._plan.exposure_ms(step.band))
         self._record(step.section, step.band, step.plane, self._taker.take(place))
 
     def _record(self, section: int, band: int, plane: int, z_um: float) -> None:
         self._recorded.add(self._plan.slot(section, band, plane))
         self._board.taken += 1
-        setpoint_um = to_um(self._plan.stack.z_nm(plane))
+        setpoint_um = self._plane(plane).z_um
         told = {"event": "plane", "plane": plane, "z_um": z_um, "setpoint_um": setpoint_um}
         if self._plan.times > 1 or self._plan.bands:
             told |= {"section": section, "band": band}

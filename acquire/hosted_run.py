@@ -12,7 +12,7 @@ from acquire.engine import FINAL, RunState
 from acquire.recipe import recipe_from_text
 from acquire.replies import RunView, Started
 from acquire.resume import interrupted_run
-from acquire.session import new_session, resumed_session, run_folder
+from acquire.session import Options, new_session, resumed_session, run_folder
 from devices.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from devices.rig import Rig
 
 log = logging.getLogger(__name__)
+JUDGED = Options(inspect=None)
 
 
 class HostedRun:
@@ -67,12 +68,12 @@ class HostedRun:
         recipe = recipe_from_text(asked.recipe, asked.name, asked.overrides)
         out = None if asked.out is None else Path(asked.out)
         folder = run_folder(recipe, self._rig.spec, out, datetime.now(UTC).astimezone())
-        return self._begin(recipe.name, new_session(recipe, self._rig, folder, self._clock, self._tell))
+        return self._begin(recipe.name, new_session(recipe, self._rig, folder, self._clock, self._tell, JUDGED))
 
     def go_on(self, asked: ContinueRun) -> Started:
         """Take what a run lacks."""
         stored = interrupted_run(Path(asked.folder), None)
-        return self._begin(stored.manifest["name"], resumed_session(stored, self._rig, self._clock, self._tell))
+        return self._begin(stored.manifest["name"], resumed_session(stored, self._rig, self._clock, self._tell, JUDGED))
 
     def session(self) -> Session:
         """Return the run under way; raises `InputError` when there is none."""

@@ -15,7 +15,7 @@ from acquire.store import RunEnd, is_run, open_run
 from acquire.taker import FIRST_FRAME_S, POLL_S
 from devices.bands import choose_bands, switch_band
 from devices.errors import CameraTimeout, InputError, PlanError, StoreError, Unsafe
-from devices.values import to_um
+from devices.values import to_nm, to_um
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -108,7 +108,7 @@ def check_same_view(stored: StoredRun, rig: Rig, clock: Clock) -> None:
     if slot is None:
         return
     plan, header = stored_plan(stored), stored.planes[slot].header
-    z_nm = plan.stack.z_nm(header.plane)
+    z_nm = to_nm(header.setpoint_um)  # the focus may have moved since the plan was made
     for target_nm in (z_nm - plan.stack.approach * plan.stack.overshoot_nm, z_nm):
         rig.stage.move_to(to_um(target_nm))
         rig.stage.settle(60.0)

@@ -10,10 +10,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from acquire.autofocus import Focus, focus_of
 from acquire.engine import Policy, Run, RunState
 from acquire.estimate import Estimate, estimate
 from acquire.observe import Observer
 from acquire.ome_zarr import FocalArray
+from acquire.quality import quality_of
 from acquire.recipe import pace_of, plan_run
 from acquire.recorder import Recorder, disk_full, ring_slots, size
 from acquire.resume import check_same_instrument, check_same_view, stored_plan, stored_recipe
@@ -144,13 +146,14 @@ class Options:
 
     Attributes
     ----------
-    inspect : callable
-        Looks at each section before the next is cut; see `acquire.verdict`.
+    inspect : callable or None
+        Looks at each section before the next is cut; see `acquire.verdict`. None: `acquire.quality`, as the recipe
+        says.
     attended : bool
         Somebody may answer questions; without, a question ends the run as HELD.
     """
 
-    inspect: Inspect = no_inspection
+    inspect: Inspect | None = no_inspection
     attended: bool = True
 
 
@@ -212,7 +215,8 @@ class Session:
             done=store.durable_planes,
             committed=0 if stored is None else stored.committed,
             known=Standing() if stored is None else standing(stored.records),
-            inspect=options.inspect,
+            inspect=options.inspect or quality_of(recipe, caps),
+            focus=Focus() if stored is None else focus_of(stored.records),
             switch_band=_band_switch(plan, rig),
             utc_ns=time.time_ns,
             tell=tell,

@@ -25,6 +25,7 @@ class Finding(StrEnum):
     BLURRED = "blurred"
     DUPLICATE = "duplicate"
     LOST = "lost specimen"
+    LIGHT = "light changed"
 
 
 @dataclass(frozen=True)
