@@ -176,6 +176,7 @@ class Canvas:
         buffers = [
             (self.context.buffer(np.ascontiguousarray(values, np.float32).data), f"{values.shape[1]}f", name)
             for name, values in vertices.items()
+            if name in program  # the compiler leaves out what makes no difference
         ]
         corners = self.context.buffer(np.ascontiguousarray(indices, np.uint32).data)
         return self.context.vertex_array(program, buffers, corners)
