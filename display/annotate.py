@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 LETTERS_SHARE = 1 / 34  # height of letters in pictures
 LEAST_LETTERS_PX = 9
-WHITE, SHADOW = (255, 255, 255, 255), (0, 0, 0, 170)
+WHITE, SHADOW = (255, 255, 255, 255), (0, 0, 0, 230)
+UNITS = ((1e6, "m"), (1e4, "cm"), (1e3, "mm"), (1.0, "µm"), (1e-3, "nm"))
 AXIS_COLOURS = {"x": (255, 110, 110, 255), "y": (110, 230, 110, 255), "z": (120, 160, 255, 255)}
 NICE = (1, 2, 5)
 
@@ -69,6 +70,14 @@ def nice_length(longest: float) -> float:
     return max(n * power for n in NICE if n * power <= longest * (1 + 1e-9))
 
 
+def length_words(length: float, unit: str) -> str:
+    """Return a length with a unit that suits it; lengths in voxels stay in voxels."""
+    if unit != "µm":
+        return f"{number(length)} {unit}"
+    size, name = next(((size, name) for size, name in UNITS if length >= size * (1 - 1e-9)), UNITS[-1])
+    return f"{number(length / size)} {name}"
+
+
 def number(value: float) -> str:
     """Return a number as on a scale."""
     return f"{value:.4g}"
@@ -92,7 +101,7 @@ def _scale_bar(draw: ImageDraw.ImageDraw, camera: Camera, letters: int, unit: st
     thick = max(letters / 5, 2)
     draw.rectangle((x - 1, y - 1, x + pixels + 1, y + thick + 1), SHADOW)
     draw.rectangle((x, y, x + pixels, y + thick), WHITE)
-    _write(draw, (x + pixels / 2, y - letters * 0.25), f"{number(length)} {unit}", letters, "md")
+    _write(draw, (x + pixels / 2, y - letters * 0.25), length_words(length, unit), letters, "md")
 
 
 def _tripod(draw: ImageDraw.ImageDraw, camera: Camera, letters: int, depth: str) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,7 +11,7 @@ import numpy as np
 from acquire.progress import progress
 from acquire.store import is_run
 from devices.errors import InputError
-from display.scene import Band, Volume
+from display.scene import Band, Transfer, Volume
 from processing.stack import Stack, open_stack
 
 if TYPE_CHECKING:
@@ -24,7 +26,7 @@ LIMITS_PERCENT = (0.0, 99.95)
 SAMPLES = 2_000_000  # voxels that are looked at for the limits
 EVEN = 1e-3  # spacings that differ by less are equal
 ADDITIVE = ("#ff0000", "#00ff00", "#0000ff", "#ff00ff", "#ffff00", "#00ffff", "#ff8000", "#8000ff")
-RGB = ADDITIVE[:3]
+RATIO_FLOOR = 0.1
 
 
 def load_volume(
@@ -33,6 +35,7 @@ def load_volume(
     step_um: float | None = None,
     channels: Iterable[int] | None = None,
     planes_are_bands: bool = False,
+    ratio: tuple[int, int] | None = None,
     quiet: bool = True,
 ) -> Volume:
     """Read a stack as a volume.
@@ -47,6 +50,8 @@ def load_volume(
         Channels to take as bands; the only one when left out.
     planes_are_bands : bool
         Every plane is a band of one plane of depth.
+    ratio : (int, int), optional
+        Show one band divided by another one.
     quiet : bool
         Show no progress.
 
@@ -73,7 +78,8 @@ def load_volume(
     if is_run(path) and first.z_um is not None and first.z_um[-1] > first.z_um[0]:
         arrays = [np.ascontiguousarray(array[::-1]) for array in arrays]
     depth = "t" if any("along time" in note for note in first.notes) else "z"
-    return Volume(tuple(_named(arrays)), spacing, unit, depth, tuple(notes))
+    bands = tuple(_named(arrays)) if ratio is None else (_ratio(arrays, *ratio),)
+    return Volume(bands, spacing, unit, depth, tuple(notes))
 
 
 def as_volume(values: Array, *, spacing_um: tuple[float, float, float] = (1, 1, 1), colour: str = "gray") -> Volume:
@@ -110,6 +116,51 @@ def _named(arrays: list[Array]) -> Iterable[Band]:
         raise InputError(f"{len(arrays)} bands are too many to be told apart.", fix="choose some: --channels 0,1,2")
     for k, array in enumerate(arrays):
         yield Band(array, limits_of(array), name=f"band {k}", colour=ADDITIVE[k])
+
+
+def _ratio(arrays: list[Array], above: int, below: int) -> Band:
+    """Return a band whose full is the 99.5 percentile of the ratio; 0 where the lower band is below a tenth of full."""
+    if max(above, below) >= len(arrays):
+        raise InputError(f"there are {len(arrays)} bands, counted from 0.", fix="--ratio 0/1", code="usage")
+    bottom = arrays[below].astype(np.float32)
+    clear = bottom > RATIO_FLOOR * limits_of(arrays[below])[1]
+    ratio = np.where(clear, arrays[above] / np.maximum(bottom, 1), 0)
+    top = float(np.percentile(ratio[clear], 99.5)) if clear.any() else 1.0
+    values = np.rint(np.clip(ratio / (top or 1.0), 0, 1) * 65535).astype(np.uint16)
+    return Band(values, (0, 65535), f"band {above} / band {below}, full = {top:.3g}", colour="viridis")
+
+
+def read_transfer(path: Path) -> tuple[Transfer, tuple[tuple[float, float, float, float], ...] | None]:
+    """Read a table of opacity, and of colour where it has columns for it.
+
+    Parameters
+    ----------
+    path : Path
+        CSV with a line of names: value, opacity (0 to 1 over the smallest side of a voxel) and red, green, blue (0 to
+        1), or either of them.
+
+    Raises
+    ------
+    InputError
+        ``opacity-table``: missing, not such a table, or values that do not rise.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = [{key.strip(): float(item) for key, item in row.items()} for row in csv.DictReader(file)]
+        values = [row["value"] for row in rows]
+        points = tuple((row["value"], row["opacity"]) for row in rows if "opacity" in row)
+        colours = tuple((row["value"], row["red"], row["green"], row["blue"]) for row in rows if "red" in row)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, csv.Error) as error:
+        raise _no_table(path, f"{type(error).__name__}: {error}") from None
+    shares = [share for row in (*points, *colours) for share in row[1:]]
+    if len(values) < 2 or any(b <= a for a, b in pairwise(values)) or not all(0 <= share <= 1 for share in shares):
+        raise _no_table(path, "values have to rise, at least two of them; opacity and colours lie between 0 and 1.")
+    return Transfer(points), colours or None
+
+
+def _no_table(path: Path, why: str) -> InputError:
+    fix = "lines such as: value,opacity,red,green,blue / 0,0,0,0,0 / 255,0.3,1,1,1"
+    return InputError(f"{path} is no table of opacities.", why=why, fix=fix, code="opacity-table")
 
 
 def _spacing(stack: Stack, *, planes_are_bands: bool) -> tuple[tuple[float, float, float], str]:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from devices.glasses_timing import Eye
-    from display.scene import Layer, Scene, View
+    from display.scene import Layer, Light, Scene, View
 
     Array = NDArray[np.float64]
     Size = tuple[int, int]
@@ -114,6 +114,7 @@ class Drawing:
     layer: Layer
     camera: Camera
     scene: Scene
+    eye: Eye | None = None
 
     @property
     def data(self) -> Any:
@@ -135,7 +136,7 @@ def resolve(scene: Scene, size: Size, eye: Eye | None = None) -> tuple[Drawing, 
         ``picture-size``: a size of nothing. ``view``: angles or zoom that make no picture.
     """
     seen = camera(scene, size, eye)
-    return tuple(Drawing(layer, seen, scene) for layer in scene.layers)
+    return tuple(Drawing(layer, seen, scene, eye) for layer in scene.layers)
 
 
 def camera(scene: Scene, size: Size, eye: Eye | None = None) -> Camera:
@@ -167,6 +168,13 @@ def axes(view: View, *, turn: float = 0.0) -> tuple[Array, Array, Array]:
     right = math.cos(r) * side - math.sin(r) * below
     down = math.sin(r) * side + math.cos(r) * below
     return right * math.cos(turn) + into * math.sin(turn), down, into * math.cos(turn) - right * math.sin(turn)
+
+
+def light_vector(seen: Camera, light: Light) -> Array:
+    """Return the unit vector to a light, (x, y, z); it stays with the viewer who moves around the data."""
+    a, e = math.radians(light.azimuth_deg), math.radians(light.elevation_deg)
+    right, down = seen.right / seen.pixel_um, seen.down / seen.pixel_um
+    return math.sin(a) * math.cos(e) * right - math.sin(e) * down - math.cos(a) * math.cos(e) * seen.axis
 
 
 def fitting_pixel_um(scene: Scene, size: Size) -> float:

@@ -37,15 +37,16 @@ class Band:
         Values shown as nothing and as full.
     name, unit : str
         For the colour bar.
-    colour : str
-        Colour table by name, or the colour of full as ``#rrggbb`` (nothing is black).
+    colour : str or tuple of (value, r, g, b)
+        Colour table by name, the colour of full as ``#rrggbb`` (nothing is black), or sRGB colours, 0 to 1, of values,
+        with straight lines between.
     """
 
     values: Array
     limits: tuple[float, float]
     name: str = "grey level"
     unit: str = ""
-    colour: str = "gray"
+    colour: str | tuple[tuple[float, float, float, float], ...] = "gray"
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,14 +120,11 @@ class Transfer:
     ----------
     points : tuple of (value, opacity)
         Value in the band's own numbers, rising; opacity over one ``unit_um``, 0 to 1; straight lines between.
-    colours : tuple of (value, r, g, b)
-        sRGB, 0 to 1; the band's colour table when empty.
     unit_um : float, optional
         Depth over which the opacities are meant; the smallest side of a voxel when left out.
     """
 
     points: tuple[tuple[float, float], ...] = ()
-    colours: tuple[tuple[float, float, float, float], ...] = ()
     unit_um: float | None = None
 
 
@@ -166,6 +164,40 @@ class VolumeLook:
     surface: float = 0.0
     shadow: Literal["none", "rear", "self", "both"] = "none"
     cut: tuple[tuple[float, float], ...] = ((0.0, 1.0), (0.0, 1.0), (0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class SliceLook:
+    """How planes through a volume are shown.
+
+    Attributes
+    ----------
+    interpolation : {"trilinear", "nearest"}
+        Between voxels, or voxels shown as thick as they are.
+    at : (x, y, z)
+        Place of the planes, as shares of the whole.
+    turn_deg, tilt_deg : float
+        Direction of an oblique plane: its normal as that of a viewer who moves to the right, and up.
+    transparent : float, optional
+        Values below are not drawn.
+    tint : bool
+        Planes are tinted by their orientation.
+    gap : float
+        Distance of parallel planes, as a multiple of the true one.
+    planes : int
+        How many parallel planes.
+    light : Light
+    """
+
+    interpolation: Interpolation = "trilinear"
+    at: Vector = (0.5, 0.5, 0.5)
+    turn_deg: float = 0.0
+    tilt_deg: float = 0.0
+    transparent: float | None = None
+    tint: bool = False
+    gap: float = 2.0
+    planes: int = 6
+    light: Light = Light()
 
 
 @dataclass(frozen=True)
@@ -215,6 +247,12 @@ class Layer:
     mode: str
     look: Any = None
 
+    @property
+    def size_um(self) -> NDArray[np.float64]:
+        """Size along (x, y, z) of a box around the origin that holds what is drawn."""
+        size: NDArray[np.float64] = self.data.size_um
+        return size * (1.0, 1.0, self.look.gap) if self.mode == "exploded" else size
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -228,7 +266,7 @@ class Scene:
     @property
     def size_um(self) -> NDArray[np.float64]:
         """Size along (x, y, z) of a box around the origin that holds everything."""
-        return np.asarray(np.max([layer.data.size_um for layer in self.layers], axis=0))
+        return np.asarray(np.max([layer.size_um for layer in self.layers], axis=0))
 
 
 def colour_table(colour: str) -> NDArray[np.float32]:
@@ -255,6 +293,14 @@ def colour_table(colour: str) -> NDArray[np.float32]:
         ) from None
 
 
+def band_colours(band: Band) -> NDArray[np.float32]:
+    """Return 256 sRGB colours, (256, 3), of the values between a band's limits. Errors as `colour_table`."""
+    if isinstance(band.colour, str):
+        return colour_table(band.colour)
+    values, given = np.linspace(*band.limits, TABLE_ENTRIES), np.array(band.colour)
+    return np.stack([np.interp(values, given[:, 0], given[:, 1 + c]) for c in range(3)], axis=1).astype(np.float32)
+
+
 def transfer_table(band: Band, transfer: Transfer, unit_um: float) -> NDArray[np.float32]:
     """Return linear light and absorption of 256 values between the band's limits, (256, 4): r, g, b, per µm.
 
@@ -264,15 +310,6 @@ def transfer_table(band: Band, transfer: Transfer, unit_um: float) -> NDArray[np
     values = np.linspace(*band.limits, TABLE_ENTRIES)
     points = np.array(transfer.points or ((band.limits[0], 0.0), (band.limits[1], 0.1)), np.float64)
     opacity = np.clip(np.interp(values, points[:, 0], points[:, 1]), 0, 1 - 1e-6)
-    colours = np.asarray(colour_table(band.colour), np.float64)
-    if transfer.colours:
-        given = np.array(transfer.colours)
-        colours = np.stack([np.interp(values, given[:, 0], given[:, 1 + c]) for c in range(3)], axis=1)
+    colours = band_colours(band)
     absorption = -np.log1p(-opacity) / (transfer.unit_um or unit_um)
     return np.column_stack([linear_of(colours), absorption]).astype(np.float32)
-
-
-def axes_of_light(light: Light) -> Vector:
-    """Return the unit vector to a light: shares to the right of the picture, upwards, and towards the viewer."""
-    a, e = np.radians(light.azimuth_deg), np.radians(light.elevation_deg)
-    return float(np.sin(a) * np.cos(e)), float(np.sin(e)), float(np.cos(a) * np.cos(e))

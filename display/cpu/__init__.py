@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
+from typing import cast as as_type
 
 import numba
 
@@ -21,7 +22,7 @@ ROWS = 16  # of a picture, done by one thread at a time
 def fast(function: Function) -> Function:
     """Compile to machine code that frees the interpreter and may reorder sums; kept on disk."""
     made = numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")(function)
-    return cast("Function", made)
+    return as_type("Function", made)
 
 
 @cache

@@ -198,7 +198,7 @@ class Canvas:
         """Set what the program knows; what the compiler left out is passed over."""
         for name, value in uniforms.items():
             if name in program:
-                program[name] = tuple(value) if isinstance(value, np.ndarray) else value
+                program[name] = _plain(value)
         for place, (name, texture) in enumerate(textures.items()):
             if name in program:
                 texture.use(place)
@@ -214,3 +214,13 @@ class Canvas:
             "add": (moderngl.ONE, moderngl.ONE),
             "multiply": (moderngl.DST_COLOR, moderngl.ZERO),
         }[blend]
+
+
+def _plain(value: object) -> object:
+    """Return an array as moderngl takes it: a tuple, or a list of tuples unless there is but one."""
+    if not isinstance(value, np.ndarray):
+        return value
+    if value.ndim == 1:
+        return tuple(value.tolist())
+    rows = [tuple(row) for row in value.tolist()]
+    return rows if len(rows) > 1 else rows[0]

@@ -8,7 +8,7 @@ import numpy as np
 
 from display.gl.canvas import Canvas
 from display.gl.context import check, offscreen
-from display.modes import find_mode
+from display.modes import Legend, find_mode
 from display.resolve import resolve
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ class Renderer:
             As `resolve`; ``opengl`` if the driver fails, ``shader`` if a shader does not compile.
         """
         drawings = resolve(scene, size, eye)
+        self.context.__enter__()  # another one may be the thread's current one
         target = self._target(size, eye)
         target.use()
         target.clear(*scene.background, 1.0)
@@ -75,13 +76,20 @@ class Renderer:
         """
         return read(self.paint(scene, size, eye))
 
+    def legend(self, scene: Scene, size: Size) -> Legend:
+        """Return what has to be said on the picture of a scene."""
+        parts = [find_mode(drawing.layer.mode).legend(drawing) for drawing in resolve(scene, size)]
+        return Legend(sum((part.bars for part in parts), ()), sum((part.words for part in parts), ()))
+
     def end_frame(self) -> None:
         """Forget what the frame just drawn did not use; call it after all eyes of a frame."""
+        self.context.__enter__()
         self.canvas.drop_unused()
         self.context.gc()
 
     def close(self) -> None:
         """Give everything back."""
+        self.context.__enter__()
         self._targets.clear()
         self.canvas.clear()
         self.context.gc()

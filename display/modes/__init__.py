@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from display.gl.canvas import Canvas
     from display.resolve import Drawing
-    from display.scene import Layer
 
 MODES: dict[str, Mode] = {}
 
@@ -51,7 +50,7 @@ class Mode(Protocol):
         """Draw into the bound target: linear light, premultiplied by alpha, over what is there."""
         ...
 
-    def legend(self, layer: Layer) -> Legend:
+    def legend(self, drawing: Drawing) -> Legend:
         """Return what has to be said on the picture."""
         ...
 

@@ -1,8 +1,6 @@
 float best = -1.0, where = 0.0;
-
 vec4 nothing() { return vec4(0.0); }
-
-void begin(Ray ray) {}
+void begin(Ray ray, vec2 span) {}
 
 bool visit(Ray ray, float t, float ds) {
     float v = value(ray.from + t * ray.dir);
