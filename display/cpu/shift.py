@@ -69,7 +69,7 @@ def blend_brightest(values: Array, moved: Array, found: Array, first: int, last:
     for k in range(depth):
         x, y = int(np.floor(moved[k, 0])), int(np.floor(moved[k, 1]))
         fx, fy = np.float32(moved[k, 0] - x), np.float32(moved[k, 1] - y)
-        top, bottom = y + (fy >= HALF), y + height + (fy > HALF)  # pixels whose middle the plane covers
+        top, bottom = y + int(fy >= HALF), y + height + int(fy > HALF)  # pixels whose middle the plane covers
         for j in range(max(first, top), min(last, bottom)):
             above, below = values[k, max(j - y - 1, 0)], values[k, min(j - y, height - 1)]
             for i in range(width):

@@ -48,3 +48,8 @@ def check(context: moderngl.Context, doing: str) -> None:
         )
     if error != "GL_NO_ERROR":
         raise DisplayError(f"OpenGL reports {error} after {doing}.", fix="report it as a bug.", code="opengl")
+
+
+def make_current(context: moderngl.Context) -> None:
+    """Draw with this context from now on; another one may have been the thread's current one."""
+    context.__enter__()  # type: ignore[no-untyped-call]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from display.gl.canvas import Canvas
-from display.gl.context import check, offscreen
+from display.gl.context import check, make_current, offscreen
 from display.modes import Legend, find_mode
 from display.resolve import resolve
 
@@ -57,7 +57,7 @@ class Renderer:
             As `resolve`; ``opengl`` if the driver fails, ``shader`` if a shader does not compile.
         """
         drawings = resolve(scene, size, eye)
-        self.context.__enter__()  # another one may be the thread's current one
+        make_current(self.context)
         target = self._target(size, eye)
         target.use()
         target.clear(*scene.background, 1.0)
@@ -83,13 +83,13 @@ class Renderer:
 
     def end_frame(self) -> None:
         """Forget what the frame just drawn did not use; call it after all eyes of a frame."""
-        self.context.__enter__()
+        make_current(self.context)
         self.canvas.drop_unused()
         self.context.gc()
 
     def close(self) -> None:
         """Give everything back."""
-        self.context.__enter__()
+        make_current(self.context)
         self._targets.clear()
         self.canvas.clear()
         self.context.gc()
