@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from dataclasses import dataclass, field
 from hashlib import blake2b
 from typing import TYPE_CHECKING
 
-from acquire.replies import Working
+from acquire.replies import Failed, Picture, Working
 from devices.errors import StereotomeError
 
 if TYPE_CHECKING:
     from acquire.replies import AnyReply
 
 KEPT = 16
+PICTURES = 4
 CLIENTS = 256
 WORKING = Working()
+FORGOTTEN = Failed(code="serve-request", what="the picture is forgotten by now: take another.", exit_code=2)
 
 
 class RequestRefused(StereotomeError):
@@ -32,7 +34,7 @@ class _Client:
 
 
 class Answers:
-    """The last answers to each client.
+    """The last answers to each client, and of pictures the last few to anybody: they are large.
 
     A number older than those kept is refused: it may have been carried out. Clients not heard of for longest are
     forgotten with all their numbers.
@@ -42,6 +44,7 @@ class Answers:
         self._kept = kept
         self._most = clients
         self._clients: OrderedDict[str, _Client] = OrderedDict()
+        self._pictures: deque[tuple[str, int]] = deque()
 
     def begin(self, client: str, number: int, body: bytes) -> AnyReply | None:
         """Return what was answered before, `Working` while it is under way, or None when it is new.
@@ -67,8 +70,13 @@ class Answers:
     def finish(self, client: str, number: int, reply: AnyReply) -> None:
         """Keep an answer."""
         known = self._clients.get(client)
-        if known is not None and number in known.answers:
-            known.answers[number] = known.answers[number][0], reply
+        if known is None or number not in known.answers:
+            return
+        known.answers[number] = known.answers[number][0], reply
+        if isinstance(reply, Picture):
+            self._pictures.append((client, number))
+            if len(self._pictures) > PICTURES:
+                self.finish(*self._pictures.popleft(), FORGOTTEN)
 
     def _client(self, name: str) -> _Client:
         if name not in self._clients:

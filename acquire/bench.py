@@ -5,16 +5,23 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tempfile
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from devices.errors import DeviceError
-from devices.rig import RigSpec, load_rig
+from devices.errors import DeviceError, RigError
+from devices.feed_values import FeedState
+from devices.protocols import Microtome
+from devices.rig import RigSpec, load_rig, open_rig
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from contextlib import ExitStack
+
+    from devices.protocols import Clock
+    from devices.rig import Rig
 
 PROGRAM = [sys.executable, "-c", "from devices.cli import main; main()"]
 
@@ -80,3 +87,39 @@ def simulated_rig(bench: Bench, spec: RigSpec | None) -> RigSpec:
     if spec is None or spec.camera.driver != "folder":
         return simulated
     return simulated.model_copy(update={"camera": spec.camera})
+
+
+def instrument_spec(
+    stack: ExitStack, path: Path | None, overrides: Sequence[str], *, sim: bool, block: bool = False
+) -> RigSpec:
+    """Return what an instrument file says, or, for ``sim``, the simulated bench that stands in for it.
+
+    Parameters
+    ----------
+    stack : ExitStack
+        Ends the simulated bench.
+    block : bool
+        Put a microtome on the simulated bench when no instrument is named.
+
+    Raises
+    ------
+    RigError
+        The file is wrong, or none is given.
+    """
+    if not sim:
+        if path is None:
+            raise RigError("no instrument is given.", fix=("name its file: -i RIG.toml", "work without one: --sim"))
+        return load_rig(path, overrides)
+    spec = None if path is None else load_rig(path, overrides)
+    scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="stereotome-bench-")))
+    return simulated_rig(stack.enter_context(simulated_bench(path, scratch, overrides, block=block)), spec)
+
+
+@contextmanager
+def opened(spec: RigSpec, clock: Clock, transcript: Path | None, *, home: bool) -> Iterator[Rig]:
+    """Open an instrument; ``home`` consents to the feed's search for its reference, as on a simulated bench."""
+    with open_rig(spec, clock=clock, transcript=transcript) as rig:
+        feed: object = rig.feed
+        if home and isinstance(feed, Microtome) and feed.resolve() is not FeedState.READY:
+            feed.home()
+        yield rig

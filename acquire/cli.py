@@ -6,22 +6,22 @@ import json
 import queue
 import signal
 import sys
-import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from functools import partial
-from pathlib import Path
+from pathlib import Path  # noqa: TC003  the command line reads the annotations
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from acquire.bench import simulated_bench, simulated_rig
+from acquire.bench import instrument_spec, opened
 from acquire.engine import FINAL, RunState
 from acquire.estimate import timed_steps
 from acquire.progress import progress
 from acquire.recipe import Recipe, load_recipe, pace_of, plan_run
 from acquire.recorder import size
+from acquire.remote_session import remote_session, served_instrument
 from acquire.resume import interrupted_run
 from acquire.run_plan import Kind
 from acquire.session import (
@@ -38,10 +38,8 @@ from acquire.session import (
 from acquire.standing import END
 from acquire.store import RunEnd, is_run, open_run
 from devices.clock import SystemClock
-from devices.errors import InputError, PlanError, StereotomeError
-from devices.feed_values import FeedState
-from devices.protocols import Microtome
-from devices.rig import load_rig, open_rig
+from devices.errors import InputError, StereotomeError
+from devices.rig import open_rig
 from devices.values import to_um
 
 if TYPE_CHECKING:
@@ -49,6 +47,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from acquire.estimate import Estimate, TimedStep
+    from acquire.remote_session import RemoteSession
     from acquire.run_plan import RunPlan
     from acquire.state import Question
     from acquire.store import StoredRun
@@ -71,6 +70,7 @@ def run(
     dry_run: Annotated[bool, Parameter(negative="")] = False,
     yes: Annotated[bool, Parameter(name=["--yes", "-y"], negative="")] = False,
     on_hold: Literal["ask", "end"] | None = None,
+    server: Annotated[bool | str, Parameter(negative="")] = False,
     json_: Annotated[bool, Parameter(name="--json", negative="")] = False,
 ) -> int:
     """Take a stack as a recipe says, or say with --dry-run what would be taken or what a run folder lacks.
@@ -98,6 +98,9 @@ def run(
     on_hold
         What becomes of a question of the run: ask at the terminal, or end the run, to be gone on with by --resume.
         Without it: ask if there is a terminal.
+    server
+        Have a running `stereotome serve` take it: --server, or --server=NAME. So it is anyhow when the instrument is
+        being served.
     json_
         Write one JSON object a line to standard output.
     """
@@ -110,17 +113,32 @@ def run(
     options = Options(inspect=None, attended=(sys.stdin.isatty() if on_hold is None else on_hold == "ask"))
     events: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
     with ExitStack() as stack:
+        served = None if sim or dry_run else served_instrument(stack, server, instrument)
+        if served is not None:
+            _check_remote(on_rig, transcript)
+            remote = remote_session(served, recipe, resume, set_, out, events.put)
+            return _report(_execute(remote, events, tell, quiet=json_, attended=options.attended), tell)
         cuts = loaded is not None and loaded.sections is not None
-        spec = _instrument(stack, instrument, on_rig, sim=sim, block=cuts)
+        spec = instrument_spec(stack, instrument, on_rig, sim=sim, block=cuts)
         if dry_run and loaded is not None:
             return _dry_run(loaded, spec, out, tell)
         if stored is not None:
             session = _resumed(stack, stored, spec, transcript, events.put, options)
         else:
-            rig = partial(_open, spec, transcript, home=sim)
+            rig = partial(opened, spec, CLOCK, transcript, home=sim)
             session = _new(stack, _given(loaded), spec, out, rig, events.put, options, ask=not yes)
         outcome = _execute(session, events, tell, quiet=json_, attended=options.attended)
     return _report(outcome, tell)
+
+
+def _check_remote(on_rig: Sequence[str], transcript: Path | None) -> None:
+    """Raise `InputError` for what only who opens the instrument can choose."""
+    if on_rig or transcript is not None:
+        raise InputError(
+            "the instrument is being served: its own values and transcripts are chosen there.",
+            fix="give --set camera…, optics…, stage… and --transcript to stereotome serve",
+            code="usage",
+        )
 
 
 def _given(recipe: Recipe | None) -> Recipe:
@@ -146,16 +164,6 @@ def _new(
     return new_session(recipe, rig, folder, CLOCK, tell, options)
 
 
-@contextmanager
-def _open(spec: RigSpec, transcript: Path | None, *, home: bool) -> Iterator[Rig]:
-    """Open an instrument; ``home`` consents to the feed's search for its reference, as on a simulated bench."""
-    with open_rig(spec, clock=CLOCK, transcript=transcript) as rig:
-        feed: object = rig.feed
-        if home and isinstance(feed, Microtome) and feed.resolve() is not FeedState.READY:
-            feed.home()
-        yield rig
-
-
 def _resumed(
     stack: ExitStack,
     stored: StoredRun,
@@ -167,18 +175,6 @@ def _resumed(
     rig = stack.enter_context(open_rig(spec, clock=CLOCK, transcript=transcript))
     sys.stderr.write(f"going on with {stored.folder}; missing: {ranges(stored.missing)}\n")
     return resumed_session(stored, rig, CLOCK, tell, options)
-
-
-def _instrument(stack: ExitStack, path: Path | None, overrides: Sequence[str], *, sim: bool, block: bool) -> RigSpec:
-    """Return the instrument; ``block`` puts a microtome on the simulated bench when no instrument is named."""
-    if not sim:
-        if path is None:
-            raise PlanError("no instrument is given.", fix=("name its file: -i RIG.toml", "work without one: --sim"))
-        return load_rig(path, overrides)
-    spec = None if path is None else load_rig(path, overrides)
-    scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="stereotome-bench-")))
-    bench = stack.enter_context(simulated_bench(path, scratch, overrides, block=block))
-    return simulated_rig(bench, spec)
 
 
 def _ready(recipe: Recipe, spec: RigSpec, out: Path | None) -> Path:
@@ -279,7 +275,7 @@ def _line_of(timed: TimedStep, plan: RunPlan) -> str:
 
 
 @contextmanager
-def _operator_signals(session: Session) -> Iterator[list[int]]:
+def _operator_signals(session: Session | RemoteSession) -> Iterator[list[int]]:
     """Ctrl-C and SIGTERM end the run after the current plane; a second one stops all motion at once."""
     received: list[int] = []
 
@@ -300,7 +296,7 @@ def _operator_signals(session: Session) -> Iterator[list[int]]:
 
 
 def _execute(
-    session: Session,
+    session: Session | RemoteSession,
     events: queue.SimpleQueue[dict[str, Any]],
     tell: Callable[[dict[str, Any]], None],
     *,
@@ -326,7 +322,7 @@ def _execute(
         return result.result()
 
 
-def _ask_operator(session: Session) -> None:
+def _ask_operator(session: Session | RemoteSession) -> None:
     """Put a question to the terminal until it is answered, or the run no longer asks it."""
     while (question := session.status.question) is not None:
         choices = "".join(f"  {choice:<10} {meaning}\n" for choice, meaning in question.answers.items())

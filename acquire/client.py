@@ -233,7 +233,7 @@ class Instrument:
         self._call(requests.CancelRun(), replies.Done)
 
     def answer(self, choice: str) -> None:
-        """Answer what the run asks: one of ``state.run.answers``."""
+        """Answer what the run asks: one of ``state.run.question.answers``."""
         self._call(requests.AnswerRun(choice=choice), replies.Done)
 
     def wait_for_run(self, timeout_s: float = float("inf")) -> replies.RunView:

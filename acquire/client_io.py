@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 POLL_MS = 100
 ASK_AGAIN_S = 1.0
 SILENT_S = 10.0
-NEWEST_ONLY = 4
+CLOSED = ServerGone("the connection was closed.")
 KINDS: dict[Channel, int] = {"control": zmq.DEALER, "stop": zmq.DEALER, "telemetry": zmq.SUB, "preview": zmq.SUB}
 BY_EXIT: dict[int, type[StereotomeError]] = {
     2: InputError,
@@ -122,7 +122,10 @@ class Wires(threading.Thread):
         asked = _Asked(
             channel, [messages.MAJOR, messages.encode(header), messages.encode(request)], heard_s=self._clock.now()
         )
-        self._out.put((number, asked))
+        if self.is_alive():
+            self._out.put((number, asked))
+        else:
+            asked.answer.set_exception(CLOSED)
         return asked.answer
 
     def close(self) -> None:
@@ -141,7 +144,7 @@ class Wires(threading.Thread):
             self._send_due()
             poller.poll(POLL_MS)
             self._receive()
-        self._fail_all(ServerGone("the connection was closed."))
+        self._fail_all(CLOSED)
         self._sockets["control"].disable_monitor()
         self._monitor.close(0)
         for socket in self._sockets.values():

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from acquire.replies import Depth, FeedView, Position
 from devices.errors import DeviceError, RigError, Unsafe
+from devices.protocols import Microtome
 from devices.travel import CanZero, travel
 from devices.values import to_nm
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
+    from devices.feed_values import FeedState
     from devices.protocols import Feed
     from devices.rig import Rig
 
@@ -20,24 +20,12 @@ PARKED_WITHIN_UM = 5.0
 
 
 @runtime_checkable
-class HandFeed(Protocol):
-    """A feed that can be set up by hand, beside what a run asks of it."""
+class TellsState(Protocol):
+    """A feed that says where its cycle stands."""
 
     @property
-    def state(self) -> str:
-        """Where its cycle stands."""
-        ...
-
-    def approach_to(self, depth_nm: float) -> None:
-        """Go to a depth in one go."""
-        ...
-
-    def allow_cuts(self, may_cut: Callable[[], None]) -> None:
-        """Let ``may_cut`` vouch for the microscope."""
-        ...
-
-    def arm(self) -> None:
-        """Allow one cut within the next seconds."""
+    def state(self) -> FeedState:
+        """Where it stands."""
         ...
 
 
@@ -94,14 +82,17 @@ class Hands:
         """Read feed and knife; None without them."""
         if self._rig.feed is None:
             return None
-        feed, by_hand = self._feed()
+        feed, _ = self._feed()
         return FeedView(
-            state=str(by_hand.state), depth_nm=feed.position_nm(), knife=str(feed.knife_state()), cuts=feed.cut_count()
+            state=str(feed.state) if isinstance(feed, TellsState) else "",
+            depth_nm=feed.position_nm(),
+            knife=str(feed.knife_state()),
+            cuts=feed.cut_count(),
         )
 
-    def _feed(self) -> tuple[Feed, HandFeed]:
+    def _feed(self) -> tuple[Feed, Microtome]:
         feed = self._rig.feed
-        if feed is None or not isinstance(feed, HandFeed):
+        if feed is None or not isinstance(feed, Microtome):
             raise RigError(
                 "this instrument has no feed.", fix="add [microtome] to the instrument file: docs/microtome.md"
             )

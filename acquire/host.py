@@ -12,6 +12,7 @@ from acquire.hands import Hands
 from acquire.hosted_run import HostedRun
 from acquire.lanes import Job, Lane
 from acquire.live import LiveView
+from acquire.state import Scope
 from acquire.stopper import stop_devices
 from devices.errors import DeviceBusy, DeviceError, StereotomeError, Unsafe
 from devices.values import Roi
@@ -128,7 +129,7 @@ class Host:
         self._stops += 1
         self._stopped = True
         session = self.run.session() if self.run.active else None
-        told = stop_devices(self._rig, session.run.stop if session else None)
+        told = stop_devices(self._rig, session.stop if session else None)
         for _ in range(AGAIN):  # a motion that was just about to begin when the first word went out
             if not self._lanes["motion"].busy:
                 break
@@ -224,11 +225,13 @@ class Host:
             case requests.StartRun() | requests.ContinueRun():
                 return self._begin(request)
             case requests.PauseRun():
-                self.run.session().run.pause()
+                self.run.session().pause(Scope(request.scope))
             case requests.ResumeRun():
-                self.run.session().run.resume()
+                self.run.session().resume()
             case requests.CancelRun():
-                self.run.session().run.cancel()
+                self.run.session().cancel()
+            case requests.AnswerRun():
+                self.run.session().answer(request.choice)
             case _:
                 raise AssertionError(request)
         self._look_now.set()

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from acquire.engine import FINAL, RunState
+from acquire.lanes import failed
 from acquire.recipe import recipe_from_text
-from acquire.replies import RunView, Started
+from acquire.replies import Question, RunView, Started
 from acquire.resume import interrupted_run
 from acquire.session import Options, new_session, resumed_session, run_folder
 from devices.errors import InputError
@@ -18,8 +19,9 @@ from devices.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from acquire import state
     from acquire.requests import ContinueRun, StartRun
-    from acquire.session import Session
+    from acquire.session import Outcome, Session
     from devices.protocols import Clock
     from devices.rig import Rig
 
@@ -46,6 +48,7 @@ class HostedRun:
         self._tell = tell
         self._ended = ended
         self._session: Session | None = None
+        self._outcome: Outcome | None = None
         self._name = ""
         self._number = 0
         self._thread: threading.Thread | None = None
@@ -83,10 +86,11 @@ class HostedRun:
 
     def view(self) -> RunView | None:
         """Return how the run stands, or how the last one ended; None before the first."""
-        session = self._session
+        session, outcome = self._session, self._outcome
         if session is None:
             return None
-        status = session.run.status
+        status = session.status
+        error, asked = (None, status.question) if outcome is None else (outcome.error, outcome.held)
         return RunView(
             number=self._number,
             name=self._name,
@@ -100,30 +104,33 @@ class HostedRun:
             taken=status.taken,
             durable=status.durable,
             missed=len(status.missed),
+            pausing=str(status.pausing or ""),
+            question=_asked(asked),
             left_s=self._left_s(session),
+            error=None if error is None else failed(error),
+            warnings=() if outcome is None else outcome.warnings,
         )
 
     def end(self) -> None:
         """End the run after the plane in work and wait for it."""
         thread, session = self._thread, self._session
         if thread is not None and session is not None:
-            session.run.cancel()
+            session.cancel()
             thread.join()
 
     def _begin(self, name: str, session: Session) -> Started:
-        self._name, self._session = name, session
+        self._name, self._session, self._outcome = name, session, None
         self._number += 1
         self._started_s = self._clock.now()
-        self._taken_before = session.run.status.durable
+        self._taken_before = session.status.durable
         self._thread = threading.Thread(target=self._execute, args=[session], name="run")
         self._thread.start()
         return Started(number=self._number, folder=str(session.folder), planned=len(session.plan))
 
     def _execute(self, session: Session) -> None:
         try:
-            outcome = session.execute()
-            error = None if outcome.error is None else outcome.error.message()
-            self._tell({"event": "done", "state": str(outcome.state), "folder": str(outcome.folder), "error": error})
+            self._outcome = outcome = session.execute()
+            self._tell({"event": "done", "state": str(outcome.state), "folder": str(outcome.folder)})
         except Exception:  # the run's thread ends here: the bench must be free again, whatever happened
             log.exception("a run ended by a bug")
         finally:
@@ -132,8 +139,14 @@ class HostedRun:
 
     def _left_s(self, session: Session) -> float | None:
         """Return the time left if planes go on as they came."""
-        status = session.run.status
+        status = session.status
         taken, left = status.taken, status.planned - self._taken_before - status.taken
         if not taken or status.state in FINAL or status.state is RunState.ARMING:
             return None
         return (self._clock.now() - self._started_s) / taken * left
+
+
+def _asked(question: state.Question | None) -> Question | None:
+    return (
+        None if question is None else Question(code=question.code, words=question.words, answers=dict(question.answers))
+    )

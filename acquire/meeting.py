@@ -185,7 +185,7 @@ def find_meeting(name: Path | str | None) -> Meeting:
 def _path_of(name: Path | str | None) -> Path:
     if name is not None:
         return Path(name) if os.sep in str(name) or Path(name).suffix == ".json" else connection_file(str(name))
-    files = sorted(path for path in runtime_folder().glob("*.json") if _is_served(path))
+    files = sorted(path for path in runtime_folder().glob("*.json") if is_served(path))
     if len(files) > 1:
         names = ", ".join(path.stem for path in files)
         raise InputError(f"several instruments are served: {names}.", fix="name one of them", code="usage")
@@ -194,7 +194,7 @@ def _path_of(name: Path | str | None) -> Path:
     return files[0]
 
 
-def _is_served(path: Path) -> bool:
+def is_served(path: Path) -> bool:
     """Tell whether the process that wrote a connection file lives: it holds the lock beside it."""
     try:
         with path.with_suffix(".lock").open("rb") as lock:

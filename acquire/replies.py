@@ -109,6 +109,14 @@ class Stopped(Reply, frozen=True, kw_only=True, tag="stopped"):
     failed: tuple[str, ...] = ()
 
 
+class Question(Reply, frozen=True, kw_only=True, tag="question"):
+    """What a run on HOLD wants to know: a stable code, words for people, and what each choice does."""
+
+    code: str
+    words: str
+    answers: dict[str, str]
+
+
 class RunView(Reply, frozen=True, kw_only=True, tag="run-view"):
     """A run as observers see it.
 
@@ -124,12 +132,14 @@ class RunView(Reply, frozen=True, kw_only=True, tag="run-view"):
         Planes: in all, exposed, verified on disk, recorded as missing.
     pausing : str
         The scope of a pause asked for, empty when none.
-    question : str
-        What the operator has to decide, empty when nothing.
-    answers : dict of str to str
-        Each choice and what it does.
+    question : Question or None
+        What the operator has to decide; of a run that ended as HELD, what was asked.
     left_s : float or None
         Estimate of the time left.
+    error : Failed or None
+        Why it ended as FAILED.
+    warnings : tuple of str
+        What its observers said, once it is over.
     """
 
     number: int
@@ -145,9 +155,10 @@ class RunView(Reply, frozen=True, kw_only=True, tag="run-view"):
     durable: int
     missed: int
     pausing: str = ""
-    question: str = ""
-    answers: dict[str, str] = {}
+    question: Question | None = None
     left_s: float | None = None
+    error: Failed | None = None
+    warnings: tuple[str, ...] = ()
 
 
 class FeedView(Reply, frozen=True, kw_only=True, tag="feed-view"):

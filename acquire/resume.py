@@ -6,15 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from acquire.frame import FrameHeader
-from acquire.gate import FrameGate
 from acquire.recipe import Recipe
 from acquire.run_plan import RunPlan, plan_from
+from acquire.snap import snap
 from acquire.standing import Act, standing
 from acquire.store import RunEnd, is_run, open_run
-from acquire.taker import FIRST_FRAME_S, POLL_S
 from devices.bands import choose_bands, switch_band
-from devices.errors import CameraTimeout, InputError, PlanError, StoreError, Unsafe
+from devices.errors import InputError, PlanError, StoreError, Unsafe
 from devices.values import to_nm, to_um
 
 if TYPE_CHECKING:
@@ -114,7 +112,8 @@ def check_same_view(stored: StoredRun, rig: Rig, clock: Clock) -> None:
         rig.stage.settle(60.0)
     if plan.bands:
         switch_band(rig.camera, choose_bands(rig.spec.band, [plan.bands[header.band].name])[0], header.exposure_ms)
-    likeness = correlation(_snap(rig, clock, header.exposure_ms), stored.read(slot))
+    picture, _ = snap(rig.camera, clock, header.exposure_ms, header.z_um)
+    likeness = correlation(picture, stored.read(slot))
     if not likeness >= SAME_VIEW:
         raise Unsafe(
             f"plane {slot} does not look as it did: correlation {likeness:.2f}, at least {SAME_VIEW:g} is expected.",
@@ -160,32 +159,3 @@ def _binned(pixels: np.ndarray) -> np.ndarray:
         return np.asarray(grey - grey.mean())
     blocks = cut.reshape(height, BIN_PX, width, BIN_PX).mean(axis=(1, 3))
     return np.asarray(blocks - blocks.mean())
-
-
-class _Picture:
-    """Keeps the one frame a gate lets through."""
-
-    def __init__(self) -> None:
-        self.pixels = np.empty(0)
-
-    def put(self, pixels: np.ndarray, header: FrameHeader) -> None:  # noqa: ARG002  as the engine hands frames over
-        self.pixels = pixels.copy()
-
-
-def _snap(rig: Rig, clock: Clock, exposure_ms: float) -> np.ndarray:
-    picture = _Picture()
-    gate = FrameGate(picture, rig.camera.caps(), exposure_ms)
-    header = FrameHeader(plane=0, setpoint_um=0.0, z_um=0.0, exposure_ms=exposure_ms)
-    rig.camera.arm(None, gate)
-    try:
-        gate.expect(header, round(clock.now() * 1e9))
-        rig.camera.trigger()
-        deadline = clock.now() + max(FIRST_FRAME_S, 5 * exposure_ms / 1000)
-        while not gate.passed():
-            if clock.now() > deadline:
-                raise CameraTimeout("camera: no frame to compare with the last plane.", fix="stereotome doctor")
-            clock.sleep(POLL_S)
-    finally:
-        gate.forget()
-        rig.camera.stop(2.0)
-    return picture.pixels

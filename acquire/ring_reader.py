@@ -120,6 +120,11 @@ class RingReader:
             pass
         return frame
 
+    def look_back(self) -> None:
+        """Let a latest reader that just attached see the newest frame there is already, as if it came now."""
+        if self.kind == "latest" and self._words[Word.HEAD] and not self.received + self.unread:
+            self._advance(-1)
+
     def release(self) -> None:
         """Give the slot of the last frame back to the writer; nothing to do for a latest reader."""
         self._fence()

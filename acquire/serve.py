@@ -6,27 +6,23 @@ import json
 import logging
 import signal
 import sys
-import tempfile
 import threading
 from contextlib import ExitStack
-from pathlib import Path
+from pathlib import Path  # noqa: TC003  the command line reads the annotations
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from acquire.bench import simulated_bench, simulated_rig
+from acquire.bench import instrument_spec, opened
 from acquire.keys import ServerKeys
+from acquire.meeting import addresses
 from acquire.server import serving
 from acquire.watchdog import Watchdog
 from acquire.web_process import observed_at, observer_page
 from devices.clock import SystemClock
-from devices.errors import RigError
-from devices.rig import load_rig, open_rig
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from devices.rig import RigSpec
+    from acquire.host import Host
 
 CLOCK = SystemClock()
 
@@ -39,6 +35,7 @@ def serve(
     bind: str | None = None,
     keys: Path | None = None,
     observe: Annotated[bool | str, Parameter(negative="")] = False,
+    transcript: Path | None = None,
 ) -> int:
     """Own an instrument, and let consoles, scripts and observers work with it, until Ctrl-C.
 
@@ -59,39 +56,37 @@ def serve(
         Folder of keys made by `stereotome keys`; only those on its list are admitted.
     observe
         Show the newest picture and how things stand on a web page: --observe, or --observe=ADDRESS:PORT.
+    transcript
+        Folder in which every exchange with the devices is recorded.
     """
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(asctime)s %(message)s")
+    guarded = None if keys is None else ServerKeys(keys)
+    endpoints, where = addresses(bind, keyed=keys is not None), observed_at(observe)
     with ExitStack() as stack:
-        spec = _instrument(stack, instrument, set_, sim=sim)
-        guarded = None if keys is None else ServerKeys(keys)
-        where = observed_at(observe)
+        spec = instrument_spec(stack, instrument, set_, sim=sim)
         watchdog = stack.enter_context(Watchdog(spec, CLOCK))
-        rig = stack.enter_context(open_rig(spec, clock=CLOCK))
+        rig = stack.enter_context(opened(spec, CLOCK, transcript, home=sim))
         watchdog.wait_until_ready()
-        file, host = stack.enter_context(serving(rig, CLOCK, bind=bind, keys=guarded, beat=watchdog.beat))
+        file, host = stack.enter_context(serving(rig, CLOCK, endpoints, keys=guarded, beat=watchdog.beat))
         watchdog.halted = host.stop_all
         told = {"instrument": spec.name, "connection": str(file)}
         if where is not None:
             told["page"] = stack.enter_context(observer_page(file, *where))
         sys.stdout.write(json.dumps(told, ensure_ascii=False) + "\n")
         sys.stdout.flush()
-        _wait()
+        _wait(host)
     return 0
 
 
-def _wait() -> None:
-    """Wait for Ctrl-C or SIGTERM; a run under way then ends after its plane."""
+def _wait(host: Host) -> None:
+    """Wait for Ctrl-C or SIGTERM; a run under way then ends after its plane, and at once when told a second time."""
     over = threading.Event()
+
+    def on_signal(*_: object) -> None:
+        if over.is_set():
+            threading.Thread(target=host.stop_all, name="stop", daemon=True).start()
+        over.set()
+
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: over.set())
+        signal.signal(number, on_signal)
     over.wait()
-
-
-def _instrument(stack: ExitStack, path: Path | None, overrides: Sequence[str], *, sim: bool) -> RigSpec:
-    if not sim:
-        if path is None:
-            raise RigError("no instrument is given.", fix=("name its file: -i RIG.toml", "work without one: --sim"))
-        return load_rig(path, overrides)
-    spec = None if path is None else load_rig(path, overrides)
-    scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="stereotome-bench-")))
-    return simulated_rig(stack.enter_context(simulated_bench(path, scratch, overrides)), spec)

@@ -15,7 +15,7 @@ from acquire import messages, replies, requests
 from acquire.host import Host
 from acquire.lease import LeaseBook
 from acquire.mailbox import Mailbox
-from acquire.meeting import Meeting, addresses, claimed, write_meeting
+from acquire.meeting import Meeting, claimed, write_meeting
 from acquire.preview import Previews
 from acquire.reception import Door, Reception, reply_frames
 from acquire.telemetry import HELD_BACK, Telemetry
@@ -108,8 +108,8 @@ class Loop(threading.Thread):
 def serving(
     rig: Rig,
     clock: Clock,
+    wanted: dict[Channel, str],
     *,
-    bind: str | None = None,
     keys: ServerKeys | None = None,
     beat: Callable[[], None] = lambda: None,
 ) -> Iterator[tuple[Path, Host]]:
@@ -117,8 +117,8 @@ def serving(
 
     Parameters
     ----------
-    bind : str or None
-        As in `acquire.meeting.addresses`.
+    wanted : dict
+        Addresses to serve at, from `acquire.meeting.addresses`.
     keys : ServerKeys, optional
         Admit those on its list only.
     beat : callable
@@ -128,8 +128,6 @@ def serving(
     ------
     DeviceBusy
         Another process serves this instrument, or the ports are taken.
-    KeysError
-        The address can be reached by others, and there are no keys.
     """
     with ExitStack() as stack:
         file = stack.enter_context(claimed(rig.spec.name))
@@ -137,7 +135,7 @@ def serving(
         stack.callback(context.term)
         if keys is not None:
             stack.enter_context(keys.gatekeeper(context))
-        sockets, endpoints = _bound(stack, context, addresses(bind, keyed=keys is not None), keys)
+        sockets, endpoints = _bound(stack, context, wanted, keys)
         key = "" if keys is not None else secrets.token_hex(16)
         host = _start(stack, rig, clock, sockets, key, beat)
         write_meeting(file, Meeting(rig.spec.name, os.getpid(), endpoints, key))

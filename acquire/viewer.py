@@ -69,6 +69,7 @@ class RingViewer:
         if self._reader is None and where:
             try:
                 self._reader = RingReader.attach(Path(where), "latest", clock=self._clock)
+                self._reader.look_back()
             except StoreError as error:  # it ended a moment ago, or has no room for another reader
                 log.info("%s", error.what)
         return self._reader

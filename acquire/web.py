@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import sys
 import threading
 from functools import partial
@@ -37,7 +38,7 @@ BOUNDARY = "frame"
 LOCAL = ("localhost", "127.0.0.1", "[::1]")
 HEADERS = {
     "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'none'; img-src 'self'; connect-src 'self'; "
+    "Content-Security-Policy": "default-src 'none'; img-src 'self' data:; connect-src 'self'; "
     "style-src 'unsafe-inline'; script-src 'unsafe-inline'",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
@@ -104,7 +105,7 @@ class Page:
         shown = None
         if picture is not None:
             shown = msgspec.to_builtins(picture)
-            del shown["jpeg"]
+            shown |= {"jpeg": None, "z_um": None if math.isnan(picture.z_um) else picture.z_um}
         return {
             "instrument": self.instrument.welcome.instrument,
             "silent_s": round(self.instrument.silent_s, 1),

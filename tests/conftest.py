@@ -93,3 +93,25 @@ def lend_bench(benches_of_module):
         return running[kind]
 
     return lend
+
+
+@pytest.fixture(scope="session")
+def small_bench(tmp_path_factory):
+    """A small bench for all tests of the instrument process."""
+    from served import SMALL_BENCH
+
+    folder = tmp_path_factory.mktemp("bench")
+    small = folder / "small.toml"
+    small.write_text(SMALL_BENCH)
+    bench = SimBench([str(small), "--dir", str(folder / "b")])
+    yield bench
+    bench.close()
+
+
+@pytest.fixture(scope="session")
+def server(small_bench):
+    """An instrument process with its page, for all tests that leave it running."""
+    from served import served
+
+    with served(small_bench.instrument, "--observe") as server:
+        yield server

@@ -22,9 +22,12 @@ RUN = a.RunView(
     durable=42,
     missed=1,
     pausing="section",
-    question="Debris. Sweep again?",
-    answers={"sweep": "sweep once more", "end": "end the run"},
+    question=a.Question(
+        code="debris", words="Debris. Sweep again?", answers={"sweep": "sweep once more", "end": "end the run"}
+    ),
     left_s=81.5,
+    error=a.Failed(code="limit", what="too far."),
+    warnings=("focus is late.",),
 )
 STATE = a.State(
     state="HOLD",
@@ -82,6 +85,7 @@ MESSAGES = [
     a.Started(number=2, folder="/data/x", planned=21),
     a.Stopped(told=("z stage",), failed=("feed: no answer",)),
     RUN,
+    RUN.question,
     STATE.feed,
     STATE,
     EVENT,

@@ -4,7 +4,7 @@ import pytest
 
 from acquire.answers import WORKING, Answers, RequestRefused
 from acquire.lease import LeaseBook, NotCommanding
-from acquire.replies import Done, Position
+from acquire.replies import Done, Picture, Position
 from sim.clock import SimClock
 
 
@@ -98,6 +98,17 @@ def test_a_forgotten_number_is_refused_rather_than_done_again():
     for number in range(1, 6):
         with pytest.raises(RequestRefused, match="too old"):
             answers.begin("c", number, b"cut")
+
+
+def test_of_pictures_only_the_last_few_are_kept():
+    answers = Answers()
+    picture = Picture(shape=(1, 1), dtype="uint8", pixels=b"x", z_um=0.0, exposure_ms=1.0, utc_ns=0)
+    for number in range(1, 7):
+        answers.begin("c", number, b"snap")
+        answers.finish("c", number, picture)
+    kept = [answers.begin("c", number, b"snap") for number in range(1, 7)]
+    assert [reply == picture for reply in kept] == [False] * 2 + [True] * 4
+    assert all(reply is not None for reply in kept)  # forgotten, and not taken again by itself
 
 
 def test_what_is_under_way_is_not_forgotten():

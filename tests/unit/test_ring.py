@@ -183,6 +183,24 @@ def test_the_slowest_lossless_reader_decides(writer, attach):
     push(writer)
 
 
+def test_a_latest_reader_may_look_back_at_the_frame_there_is(writer, attach):
+    empty = attach("latest")
+    empty.look_back()
+    assert empty.read(0) is None
+    push(writer, 3)
+    reader = attach("latest")
+    reader.look_back()
+    reader.look_back()
+    assert reader.unread == 1
+    assert reader.read(0).number == 2
+    reader.look_back()
+    assert reader.read(0) is None
+    assert (reader.received, reader.lost) == (1, 0)
+    every = attach("lossless")
+    every.look_back()
+    assert every.read(0) is None
+
+
 def test_a_latest_reader_never_holds_the_writer(writer, attach, clock):
     attach("latest")
     before = clock.now()

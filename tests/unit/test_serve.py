@@ -1,5 +1,6 @@
 """The instrument process: real sockets, a real serial line behind them, and clients that do everything wrong."""
 
+import json
 import os
 import stat
 import threading
@@ -8,7 +9,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import zmq
-from served import PATIENCE_S, RECIPE, SMALL_BENCH, served
+from served import PATIENCE_S, RECIPE, SMALL_BENCH, served, short_folder
 from wires import stereotome
 
 from acquire import messages, requests
@@ -18,31 +19,12 @@ from acquire.store import RunEnd, open_run
 from devices.errors import DeviceBusy, InputError, PlanError, StereotomeError, Unsafe
 
 
-@pytest.fixture(scope="module")
-def bench(tmp_path_factory):
-    from sim.pytest_plugin import SimBench
-
-    folder = tmp_path_factory.mktemp("bench")
-    small = folder / "small.toml"
-    small.write_text(SMALL_BENCH)
-    bench = SimBench([str(small), "--dir", str(folder / "b")])
-    yield bench
-    bench.close()
-
-
-@pytest.fixture(scope="module")
-def server(bench):
-    with served(bench.instrument) as server:
-        yield server
-
-
 @pytest.fixture
 def instrument(server):
     with server.client() as instrument:
         instrument.command("ann", wait_s=PATIENCE_S)
         yield instrument
-        if instrument.state.stopped:
-            instrument.clear_stop()
+        instrument.clear_stop()
 
 
 def code_of(kind, call, *arguments, **options):
@@ -63,9 +45,9 @@ def test_only_its_user_can_reach_it(server):
     assert all(address.startswith(f"ipc://{server.connection.parent}") for address in meeting.endpoints.values())
 
 
-def test_the_stage_moves_and_tells_where_it_rests(instrument, bench):
+def test_the_stage_moves_and_tells_where_it_rests(instrument, small_bench):
     assert instrument.move(12.5) == pytest.approx(12.5, abs=0.2)
-    assert bench.ask(do="truth")["z_um"] == pytest.approx(12.5, abs=0.3)
+    assert small_bench.ask(do="truth")["z_um"] == pytest.approx(12.5, abs=0.3)
     assert instrument.jog(-2.5) == pytest.approx(10.0, abs=0.2)
     assert instrument.wait_for(lambda state: state.z_um is not None and abs(state.z_um - 10) < 0.2, PATIENCE_S)
 
@@ -216,14 +198,48 @@ def test_a_giant_is_hung_up_on(server, instrument):
     assert instrument.move(0.0) == pytest.approx(0.0, abs=0.2)
 
 
-def test_two_servers_on_one_instrument_are_refused(server, bench):
-    result = stereotome("serve", "-i", bench.instrument, env={"XDG_RUNTIME_DIR": str(server.runtime)})
+def test_two_servers_on_one_instrument_are_refused(server, small_bench):
+    result = stereotome("serve", "-i", small_bench.instrument, env={"XDG_RUNTIME_DIR": str(server.runtime)})
     assert result.code == 8
     assert result.err.count("error[") == 1
 
 
 def test_a_server_that_is_not_there_is_told_at_once(tmp_path):
     assert code_of(ServerGone, Instrument.connect, tmp_path / "none.json") == "serve-silent"
+
+
+@pytest.fixture
+def recipe(tmp_path):
+    path = tmp_path / "recipe.toml"
+    path.write_text(RECIPE)
+    return path
+
+
+def run_there(server, *arguments):
+    return stereotome("run", *arguments, env={"XDG_RUNTIME_DIR": str(server.runtime)})
+
+
+def test_run_has_the_process_take_it_that_serves_the_instrument(server, small_bench, recipe, tmp_path):
+    result = run_there(server, recipe, "-i", small_bench.instrument, "--out", tmp_path / "run", "--json")
+    assert result.code == 0, result.err
+    events = [json.loads(line) for line in result.out.splitlines()]
+    assert [e["plane"] for e in events if e["event"] == "plane"] == list(range(11))
+    assert events[-1] == {"event": "done", "state": "COMPLETED", "folder": str(tmp_path / "run"), "missing": []}
+    assert open_run(tmp_path / "run").state is RunEnd.COMPLETED
+    wrong = run_there(server, recipe, "--server", "--out", tmp_path / "run")
+    assert (wrong.code, wrong.err.count("error[")) == (2, 1)
+    assert "output-exists" in wrong.err
+
+
+def test_run_does_not_push_the_commander_aside(server, instrument, recipe, tmp_path):
+    result = run_there(server, recipe, "--server", "--out", tmp_path / "run")
+    assert (result.code, result.err.count("error[lease-held]")) == (8, 1)
+
+
+def test_run_without_a_server_says_so(recipe):
+    with short_folder() as nowhere:
+        result = stereotome("run", recipe, "--server", env={"XDG_RUNTIME_DIR": str(nowhere)})
+    assert (result.code, result.err.count("error[serve-silent]")) == (4, 1)
 
 
 def test_ctrl_c_ends_it_cleanly(tmp_path, start_bench):

@@ -1,0 +1,90 @@
+"""A viewer follows the newest frame from ring to ring, counts what it missed, and holds nobody up."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from acquire.frame import Frame, FrameHeader
+from acquire.preview import preview
+from acquire.ring import RingWriter
+from acquire.viewer import RingViewer
+from sim.clock import SimClock
+
+HEADER = FrameHeader(plane=0, setpoint_um=1.0, z_um=1.0, exposure_ms=2.0, utc_ns=7)
+
+
+@pytest.fixture
+def clock():
+    return SimClock()
+
+
+def ring(folder, clock, shape=(6, 8)):
+    return RingWriter.create("view", shape, "uint16", 4, clock=clock, folder=folder)
+
+
+def push(writer, count):
+    for _ in range(count):
+        pixels = np.full(writer.geometry.shape, writer.published, np.uint16)
+        writer.push(pixels, replace(HEADER, plane=writer.published), timeout_s=0)
+
+
+def test_one_that_sleeps_gets_the_newest_and_holds_nobody_up(tmp_path, clock):
+    with ring(tmp_path, clock) as writer, RingViewer(lambda: str(writer.path), clock) as viewer:
+        assert viewer.newest(0) is None
+        push(writer, 1)
+        assert viewer.newest(0).number == 0
+        push(writer, 100)  # asleep meanwhile
+        frame = viewer.newest(0)
+        assert (frame.number, int(frame.pixels[0, 0])) == (100, 100)
+        assert (viewer.received, viewer.lost, writer.published, writer.refused) == (2, 99, 101, 0)
+
+
+def test_one_that_comes_late_sees_what_there_is(tmp_path, clock):
+    with ring(tmp_path, clock) as writer:
+        push(writer, 3)
+        with RingViewer(lambda: str(writer.path), clock) as viewer:
+            assert viewer.newest(0).number == 2
+            assert viewer.newest(0) is None
+
+
+def test_it_follows_to_another_ring_of_another_geometry(tmp_path, clock):
+    now = ""
+    with RingViewer(lambda: now, clock) as viewer:
+        assert viewer.newest(1.0) is None
+        with ring(tmp_path, clock) as first:
+            now = str(first.path)
+            push(first, 1)
+            assert viewer.newest(0).pixels.shape == (6, 8)
+        assert viewer.newest(0.5) is None  # it ended, and its name is still told
+        with ring(tmp_path, clock, (4, 4)) as second:
+            now = str(second.path)
+            push(second, 2)
+            assert viewer.newest(1.0).pixels.shape == (4, 4)
+        now = str(tmp_path / "no such ring")
+        assert viewer.newest(0.5) is None
+    assert (viewer.received, viewer.lost) == (2, 0)
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+@pytest.mark.parametrize("shape", [(40, 60), (40, 60, 3), (3000, 1500)])
+def test_a_preview_shows_the_frame_within_a_grey_level_or_two(shape, dtype):
+    rows, columns = np.indices(shape[:2])
+    ramp = (rows / shape[0] + columns / shape[1]) / 2
+    grey = (ramp * 200 + 30) if dtype == "uint8" else (ramp * 3000 + 500)
+    pixels = np.repeat(grey[..., None], 3, 2) * (1.0, 0.9, 0.8) if len(shape) == 3 else grey
+    made = preview(Frame(5, HEADER, pixels.astype(dtype)))
+    shown = cv2.imdecode(np.frombuffer(made.jpeg, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert made.shape == shape
+    assert max(shown.shape) <= 1024
+    expected = cv2.resize(pixels, shown.shape[1::-1], interpolation=cv2.INTER_AREA)
+    expected = np.clip((expected - made.black) * 255 / (made.white - made.black), 0, 255)
+    if len(shape) == 3:
+        expected = expected[..., ::-1]  # red first, as cameras deliver; JPEG files are read blue first
+    assert np.abs(shown - expected).mean() < 2.0
+
+
+def test_a_frame_of_one_grey_is_no_trouble():
+    made = preview(Frame(0, HEADER, np.full((5, 5), 7, np.uint16)))
+    assert (made.black, made.white) == (7, 8)
