@@ -71,6 +71,7 @@ COMMAND_HELP = {
     "stage zero": "Call the present place 0 µm.",
     "relief": "Draw a range image: lit or coloured surface, grid, contour map, profiles.",
     "render": "Make a picture of a stack or volume, without a window.",
+    "varifocal": "Plan which plane is shown when, before a mirror that moves.",
     "sim": "A simulated bench to put in place of an instrument.",
     "sim serve": "Serve a simulated bench until it is told to end.",
 }
