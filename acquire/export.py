@@ -1,10 +1,11 @@
-"""Copies of a run for other programs: OME-TIFF and OME-Zarr 0.4, with sizes in µm and what is known of each plane."""
+"""Copies of a run for other programs: OME-TIFF, OME-Zarr 0.5 and 0.4, with sizes and what is known of each plane."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path  # noqa: TC003  the command line reads the annotations
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -13,6 +14,7 @@ import tifffile
 import zarr
 from cyclopts import Parameter
 
+from acquire.grid import grid_of
 from acquire.ome_zarr import sync_folder
 from acquire.progress import progress
 from acquire.recorder import disk_failed
@@ -22,11 +24,13 @@ from devices.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from acquire.store import PlaneRecord, StoredRun
+    from acquire.grid import Grid
+    from acquire.store import StoredRun
 
 TILE_PX = 512
 NS_PER_S = 1e9
-Format = Literal["ome-tiff", "ome-zarr-0.4"]
+Format = Literal["ome-tiff", "ome-zarr", "ome-zarr-0.4"]
+Axis = Literal["t", "z"]
 
 
 def export(
@@ -34,6 +38,7 @@ def export(
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     format_: Annotated[Format, Parameter(name="--format")] = "ome-tiff",
+    sections: Axis = "t",
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative="")] = False,
 ) -> int:
     """Copy a finished or interrupted run into a file that other programs read, every plane checked on the way.
@@ -45,17 +50,23 @@ def export(
     output
         The file or folder to write; must not exist.
     format_
-        ome-tiff for Fiji and most others, ome-zarr-0.4 for readers that do not know 0.5 yet.
+        ome-tiff for Fiji and most others, ome-zarr (0.5), ome-zarr-0.4 for readers that do not know 0.5 yet.
+    sections
+        The axis along which sections lie: t, beside the stack of each; z, with what was cut as spacing, for runs with
+        one plane a section.
     quiet
         No progress.
     """
     stored = open_run(run)
     _check(stored, output)
-    write = write_ome_tiff if format_ == "ome-tiff" else write_ome_zarr_04
+    grid = grid_of(stored, sections)
     part = output.with_name(f".part-{output.name}")
-    with progress("planes", len(stored.planes), quiet=quiet) as show:
+    with progress("planes", grid.slots.size, quiet=quiet) as show:
         try:
-            write(stored, part, show)
+            if format_ == "ome-tiff":
+                write_ome_tiff(stored, grid, part, show)
+            else:
+                write_ome_zarr(stored, grid, part, version="0.5" if format_ == "ome-zarr" else "0.4", show=show)
             part.replace(output)
             sync_folder(output.absolute().parent)
         except OSError as error:
@@ -63,7 +74,8 @@ def export(
         finally:
             _remove(part)
     for plane in stored.missing:
-        sys.stderr.write(f"note: plane {plane} was never taken; the copy leaves it out.\n")
+        left = "is black there" if plane in grid.slots else "is left out"
+        sys.stderr.write(f"note: plane {plane} was never taken; in the copy it {left}.\n")
     sys.stdout.write(f"{output}\n")
     return 0
 
@@ -83,32 +95,32 @@ def _check(stored: StoredRun, output: Path) -> None:
         raise InputError(f"{stored.folder} holds no plane.", why=f"The run is {stored.state}.", code="no-planes")
 
 
-def write_ome_tiff(stored: StoredRun, path: Path, show: Callable[[int], None] = lambda _: None) -> None:
-    """Write the durable planes as one BigTIFF with OME-XML, tiled and compressed without loss.
+def write_ome_tiff(stored: StoredRun, grid: Grid, path: Path, show: Callable[[int], None] = lambda _: None) -> None:
+    """Write a run as one BigTIFF with OME-XML, tiled and compressed without loss.
 
     Positions, exposure and time of each plane stand in its ``Plane`` element, in µm, ms and s.
     """
     layout = stored.layout
-    shape = (len(stored.planes), *layout.shape[:2], *((layout.bands,) if layout.bands > 1 else ()))
+    samples = (layout.bands,) if layout.bands > 1 else ()
     with tifffile.TiffWriter(path, bigtiff=True, ome=True) as tiff:
         tiff.write(
-            _tiles(stored, show),
-            shape=shape,
+            _tiles(stored, grid, show),
+            shape=(*grid.slots.shape, *layout.shape[:2], *samples),
             dtype=layout.dtype,
             tile=(TILE_PX, TILE_PX),
-            photometric="rgb" if layout.bands > 1 else "minisblack",
+            photometric="rgb" if samples else "minisblack",
             compression="zlib",
             predictor=True,
-            metadata=_ome(stored),
+            metadata=_ome(stored, grid),
         )
     with path.open("rb") as file:
         os.fsync(file.fileno())
 
 
-def _tiles(stored: StoredRun, show: Callable[[int], None]) -> Iterator[np.ndarray]:
+def _tiles(stored: StoredRun, grid: Grid, show: Callable[[int], None]) -> Iterator[np.ndarray]:
     """Give the tiles of all planes, row by row; those at the right and lower edge are filled up with zeros."""
-    for done, plane in enumerate(sorted(stored.planes), start=1):
-        pixels = stored.read(plane)
+    for done, slot in enumerate(grid.slots.flat, start=1):
+        pixels = _pixels(stored, slot)
         for y in range(0, pixels.shape[0], TILE_PX):
             for x in range(0, pixels.shape[1], TILE_PX):
                 tile = np.zeros((TILE_PX, TILE_PX, *pixels.shape[2:]), pixels.dtype)
@@ -118,52 +130,87 @@ def _tiles(stored: StoredRun, show: Callable[[int], None]) -> Iterator[np.ndarra
         show(done)
 
 
-def _ome(stored: StoredRun) -> dict[str, Any]:
-    records = _records(stored)
+def _pixels(stored: StoredRun, slot: int) -> np.ndarray:
+    """Return a plane, checked; black for one that was never taken."""
+    if slot in stored.planes:
+        return stored.read(slot)
+    return np.zeros(stored.layout.shape, stored.layout.dtype)
+
+
+def _ome(stored: StoredRun, grid: Grid) -> dict[str, Any]:
     layout = stored.layout
-    begin_ns = records[0].header.exposure_start_ns
+    told = [plane_facts(stored, slot) for slot in grid.slots.ravel().tolist()]
     metadata: dict[str, Any] = {
-        "axes": "ZYXS" if layout.bands > 1 else "ZYX",
+        "axes": "TCZYXS" if layout.bands > 1 else "TCZYX",
         "Name": stored.manifest["name"],
-        "PhysicalSizeZ": abs(layout.step_um) or 1.0,
+        "PhysicalSizeZ": abs(grid.step_um) or 1.0,
         "PhysicalSizeZUnit": "µm",
         "Plane": {
-            "PositionZ": [r.header.z_um for r in records],
-            "PositionZUnit": ["µm"] * len(records),
-            "ExposureTime": [r.header.exposure_ms for r in records],
-            "ExposureTimeUnit": ["ms"] * len(records),
-            "DeltaT": [(r.header.exposure_start_ns - begin_ns) / NS_PER_S for r in records],
-            "DeltaTUnit": ["s"] * len(records),
+            "PositionZ": [facts["z_um"] for facts in told],
+            "PositionZUnit": ["µm"] * len(told),
+            "ExposureTime": [facts["exposure_ms"] for facts in told],
+            "ExposureTimeUnit": ["ms"] * len(told),
+            "DeltaT": [facts["time_s"] for facts in told],
+            "DeltaTUnit": ["s"] * len(told),
         },
     }
+    if layout.channels:
+        metadata["Channel"] = {"Name": list(layout.channels)}
+    if layout.interval_s:
+        metadata |= {"TimeIncrement": layout.interval_s, "TimeIncrementUnit": "s"}
     if layout.pixel_um is not None:
         for axis in "XY":
             metadata |= {f"PhysicalSize{axis}": layout.pixel_um, f"PhysicalSize{axis}Unit": "µm"}
-    return metadata
+    missing = [slot for slot in grid.slots.ravel().tolist() if slot not in stored.planes]
+    return metadata | ({"Description": f"never taken, black: planes {missing}"} if missing else {})
 
 
-def write_ome_zarr_04(stored: StoredRun, path: Path, show: Callable[[int], None] = lambda _: None) -> None:
-    """Write the durable planes as OME-Zarr 0.4 (Zarr 2), one chunk a plane and band."""
+def plane_facts(stored: StoredRun, slot: int) -> dict[str, Any]:
+    """Return where, when and how long a plane was exposed; for one that was not, where it should have been."""
+    section, band, plane = stored.layout.place(slot)
+    begin_ns = min(record.header.exposure_start_ns for record in stored.planes.values())
+    facts: dict[str, Any] = {"plane": slot, "section": section, "band": band}
+    if slot not in stored.planes:
+        z_um = stored.layout.start_um + plane * stored.layout.step_um
+        return {**facts, "z_um": z_um, "exposure_ms": 0.0, "time_s": 0.0, "missing": True}
+    header = stored.planes[slot].header
+    time_s = (header.exposure_start_ns - begin_ns) / NS_PER_S
+    return {**facts, "z_um": header.z_um, "exposure_ms": header.exposure_ms, "time_s": time_s}
+
+
+def write_ome_zarr(
+    stored: StoredRun,
+    grid: Grid,
+    path: Path,
+    *,
+    version: Literal["0.4", "0.5"],
+    show: Callable[[int], None] = lambda _: None,
+) -> None:
+    """Write a run as OME-Zarr (0.4 in Zarr 2, 0.5 in Zarr 3), one chunk a plane."""
     layout = stored.layout
-    height, width = layout.shape[:2]
-    planes = sorted(stored.planes)
-    group = zarr.create_group(path, zarr_format=2)
+    (times, channels, planes), (height, width) = grid.slots.shape, layout.shape[:2]
+    names = ("t", "c", "z", "y", "x")
+    group = zarr.create_group(path, zarr_format=2 if version == "0.4" else 3)
     array = group.create_array(
         "0",
-        shape=(1, layout.bands, len(planes), height, width),
+        shape=(times, channels * layout.bands, planes, height, width),
         chunks=(1, 1, 1, height, width),
         dtype=layout.dtype,
-        chunk_key_encoding={"name": "v2", "separator": "/"},
+        chunk_key_encoding={"name": "v2" if version == "0.4" else "default", "separator": "/"},
+        dimension_names=None if version == "0.4" else names,
     )
-    for index, plane in enumerate(planes):
-        pixels = stored.read(plane)
-        array[0, :, index] = pixels[np.newaxis] if layout.bands == 1 else np.moveaxis(pixels, -1, 0)
-        show(index + 1)
-    ome = layout.group_json(str(stored.manifest["name"]))["attributes"]["ome"]
-    image = {**ome["multiscales"][0], "version": "0.4"}
-    positions = [{"plane": r.plane, "z_um": r.header.z_um} for r in _records(stored)]
-    group.attrs.update({"multiscales": [image], "omero": ome["omero"], "stereotome": {"planes": positions}})
+    for done, (t, c, z) in enumerate(np.ndindex(grid.slots.shape), start=1):
+        pixels = _pixels(stored, int(grid.slots[t, c, z]))
+        planar = pixels[np.newaxis] if layout.bands == 1 else np.moveaxis(pixels, -1, 0)
+        array[t, c * layout.bands : (c + 1) * layout.bands, z] = planar
+        show(done)
+    group.attrs.update(_zarr_attributes(stored, grid, version))
 
 
-def _records(stored: StoredRun) -> list[PlaneRecord]:
-    return [stored.planes[plane] for plane in sorted(stored.planes)]
+def _zarr_attributes(stored: StoredRun, grid: Grid, version: str) -> dict[str, Any]:
+    placed = replace(stored.layout, start_um=grid.start_um, step_um=grid.step_um)
+    ome = placed.group_json(str(stored.manifest["name"]))["attributes"]["ome"]
+    own = {"planes": [plane_facts(stored, slot) for slot in grid.slots.ravel().tolist()]}
+    if version == "0.5":
+        return {"ome": ome, "stereotome": own}
+    return {"multiscales": [{**ome["multiscales"][0], "version": "0.4"}], "omero": ome["omero"], "stereotome": own}

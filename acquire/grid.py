@@ -1,0 +1,64 @@
+"""Where the planes of a run come to lie in an export: times, channels, depths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from devices.errors import InputError
+
+if TYPE_CHECKING:
+    from acquire.store import StoredRun
+
+NM_PER_UM = 1000
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The planes of an export.
+
+    Attributes
+    ----------
+    slots : ndarray, shape (t, c, z), int
+        Which plane of the run lies there.
+    start_um, step_um : float
+        Position of the first plane along z, and signed distance of planes.
+    """
+
+    slots: np.ndarray
+    start_um: float
+    step_um: float
+
+
+def grid_of(stored: StoredRun, sections: Literal["t", "z"] = "t") -> Grid:
+    """Return where planes go: sections along t beside their stacks, or one plane of each along z.
+
+    A stack of one section and band closes up over planes that were never taken; of anything larger they keep their
+    places, up to the last section of which there is any plane.
+
+    Raises
+    ------
+    InputError
+        Sections are wanted along z, but each has a stack of its own.
+    """
+    layout = stored.layout
+    if layout.sections == 1 and layout.channel_count == 1:
+        return Grid(np.array(sorted(stored.planes))[None, None], layout.start_um, layout.step_um)
+    taken = 1 + max(layout.place(slot)[0] for slot in stored.planes)
+    slots = np.arange(layout.planned).reshape(layout.sections, layout.channel_count, layout.planes_each)[:taken]
+    if sections == "t":
+        return Grid(slots, layout.start_um, layout.step_um)
+    if layout.planes_each > 1:
+        raise InputError(
+            "the sections of this run have stacks of their own: they cannot all lie along z.",
+            fix="leave --sections out: they lie along t then.",
+            code="usage",
+        )
+    return Grid(slots[:, :, 0].T[None], 0.0, _thickness_um(stored))
+
+
+def _thickness_um(stored: StoredRun) -> float:
+    plan = stored.manifest["plan"].get("sections") or {}
+    return float(plan.get("thickness_nm", 0)) / NM_PER_UM or 1.0
