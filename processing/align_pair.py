@@ -144,7 +144,7 @@ def evened(picture: Array) -> tuple[Array, float]:
     small = cv2.resize(band * band, None, fx=1 / SPARSE, fy=1 / SPARSE, interpolation=cv2.INTER_AREA)
     contrast = np.sqrt(cv2.GaussianBlur(small, (0, 0), CONTRAST / SPARSE))
     typical = float(np.median(contrast))
-    floor = max(FLATTEST * typical, 1e-3 * float(np.ptp(picture)), 1e-6)
+    floor = max(FLATTEST * typical, 1e-3 * float(np.ptp(picture)), 1e-3)  # grey levels: less is rounding
     everywhere = cv2.resize(contrast + floor, picture.shape[::-1], interpolation=cv2.INTER_LINEAR)
     return band / everywhere, float((contrast > floor).mean())
 

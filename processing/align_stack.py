@@ -37,6 +37,8 @@ CHECK = 2  # sections two apart are always matched as well
 LEAST_TEXTURE = 0.05  # share of a section that must show structure
 TWIN = 0.998  # correlation no two different sections reach
 BETTER_WITHOUT = 0.03  # neighbours of a damaged section agree better with each other than with it, by this
+MORE_ALIKE = 0.06  # and so large a share of it fits neither of them
+BRIDGED = 0.02  # weight of a damaged section's pairs: those across it place its neighbours
 PROBES = 6
 DEFORMED_PX = 0.3  # at the border, from which sections are not rigid
 
@@ -184,14 +186,16 @@ class SectionAligner:
         good = {pair: found for pair, found in self.pairs.items() if found.believed}
         if not good and not anchors and self._count > 1:
             raise no_match(self._count)
-        rows = [Row(i, j, found.matrix, 1 / (j - i) ** 2) for (i, j), found in good.items()]
+        bad = {k for k in range(self._count) if damaged(k, self.pairs)}
+        weight = {pair: (BRIDGED if bad & set(pair) else 1) / (pair[1] - pair[0]) ** 2 for pair in good}
+        rows = [Row(i, j, found.matrix, weight[i, j]) for (i, j), found in good.items()]
         fixed = Row(None, reference, np.eye(3), 1.0)
         matrices = solve(self._count, [*rows, *(anchors or [fixed])], self._shape)
         matrices = [nearest_in_pixels(self.model, m, self._shape) for m in matrices]
         if not anchors:
             back = np.linalg.inv(matrices[reference])
             matrices = [m @ back for m in matrices]
-        flags = self._flags(good, reference, gaps, anchored={row.second for row in anchors})
+        flags = self._flags(good, bad, reference, gaps, anchored={row.second for row in anchors})
         loop = loop_disagreement_px(good, self._shape)
         placed = [
             Section(k, matrix, _error(k, reference, loop, anchors), deformation(matrix), tuple(flags[k]))
@@ -199,7 +203,9 @@ class SectionAligner:
         ]
         return Alignment(tuple(placed), reference, self.model, self.pairs, loop, self._shape)
 
-    def _flags(self, good: Pairs, reference: int, gaps: Sequence[int], anchored: set[int | None]) -> list[list[str]]:
+    def _flags(
+        self, good: Pairs, bad: set[int], reference: int, gaps: Sequence[int], anchored: set[int | None]
+    ) -> list[list[str]]:
         joined = connected(good, reference) | anchored
         paired = {k for pair in good for k in pair} | anchored
         found: list[list[str]] = [[] for _ in range(self._count)]
@@ -210,7 +216,7 @@ class SectionAligner:
                 flags.append("unmatched")
             elif k not in joined and k != reference:
                 flags.append("unconnected")
-            if damaged(k, self.pairs):
+            if k in bad:
                 flags.append("damaged")
             if (before := good.get((k - 1, k))) is not None and before.correlation > TWIN:
                 flags.append("duplicate")
@@ -234,7 +240,8 @@ def damaged(k: int, pairs: Pairs) -> bool:
     before, after, across = (pairs.get(pair) for pair in ((k - 1, k), (k, k + 1), (k - 1, k + 1)))
     if before is None or after is None or across is None or not across.believed:
         return False
-    return across.correlation > max(before.correlation, after.correlation) + BETTER_WITHOUT
+    better = across.correlation > max(before.correlation, after.correlation) + BETTER_WITHOUT
+    return better or across.inliers > max(before.inliers, after.inliers) + MORE_ALIKE
 
 
 def connected(good: Pairs, reference: int) -> set[int]:

@@ -190,7 +190,9 @@ def same_indents(before: Sequence[Indent], after: Sequence[Indent]) -> list[tupl
     reach = SAME_PLACE * min(i.diagonals_um[0] for i in before)
     shifts = (second[np.newaxis] - first[:, np.newaxis]).reshape(-1, 2)
     met = [_met(first + shift, second, reach) for shift in shifts]
-    return max(met, key=lambda pairs: (len(pairs), -_stray(pairs, first, second)))
+    best = max(met, key=lambda pairs: (len(pairs), -_stray(pairs, first, second)))
+    alone = len(best) == 1 and _stray(best, first, second) > 2 * reach / SAME_PLACE
+    return [] if alone else best  # one indent that went far may be another one
 
 
 def _stray(pairs: list[tuple[int, int]], first: Array, second: Array) -> float:

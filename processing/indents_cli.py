@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 from devices.errors import InputError
 from processing.indents import Indent, Removal, measured_indents, removal
+from processing.indents_chain import Chain, chain
 from processing.outputs import versions
 from processing.pictures import DOTS_PER_INCH, png_bytes, preview
 from processing.readers import reading
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[Any]
 
-FILES = ("indents.csv", "before.png", "after.png", "report.json")
 COLUMNS = ("picture", "indent", "shape", "x_um", "y_um", "diagonal_1_um", "error_1_um", "diagonal_2_um", "error_2_um",
            "depth_um", "depth_error_um")  # fmt: skip
 FORMAT, FORMAT_VERSION = "stereotome-indents", 1
@@ -39,29 +39,29 @@ Switch = Parameter(negative="")
 
 def indents(
     before: Path,
-    after: Path | None = None,
-    *,
+    *after: Path,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     pixel_um: float | None = None,
-    feed_um: float | None = None,
+    feed_um: list[float] | None = None,
     feed_error_um: float = 0.1,
     overwrite: Annotated[bool, Switch] = False,
     json: Annotated[bool, Switch] = False,
 ) -> int:
-    """Measure Vickers and Knoop indents, and the depth removed between two pictures of a face.
+    """Measure Vickers and Knoop indents, and the depth removed between two or more pictures of a face.
 
     Parameters
     ----------
     before
         Picture of the face with its indents.
     after
-        The same face after polishing; leave it out to measure one picture.
+        The same face after polishing, once or many times, in order; leave it out to measure one picture. New indents
+        may be pressed on the way.
     output
         Folder for table, pictures with the outlines that were found, and report.
     pixel_um
         Size of a pixel in µm; goes before what the file says.
     feed_um
-        What the feed counter says was removed, in µm.
+        What the feed counter says was removed before each further picture, in µm; once for each.
     feed_error_um
         Its standard error.
     overwrite
@@ -69,34 +69,91 @@ def indents(
     json
         Write the report as one JSON object to standard output.
     """
-    check_results(output, FILES, overwrite=overwrite)
-    check_feed(feed_um, feed_error_um)
-    names = {"before": before} if after is None else {"before": before, "after": after}
+    names = named(before, after)
+    files_there = files_of(names)
+    check_results(output, files_there, overwrite=overwrite)
+    feeds = feed_um or []
+    check_feed(feeds, feed_error_um, len(after))
     faces = {name: opened_face(path, pixel_um) for name, path in names.items()}
     found = {name: measured_indents(image, pixel) for name, (image, pixel) in faces.items()}
-    for name, path in names.items():
-        if name == "before" and not found[name]:
-            raise no_indent(path)
-    lost = removal(found["before"], found.get("after", []), feed_um=feed_um, feed_error_um=feed_error_um)
-    said = report(found, lost, compared=after is not None)
+    if not found["before"]:
+        raise no_indent(before)
+    listed = list(found.values())
+    feed = feeds[0] if feeds else None
+    lost = removal(listed[0], listed[1], feed_um=feed, feed_error_um=feed_error_um) if len(listed) == 2 else None
+    sums = chain(listed, feeds, feed_error_um) if len(listed) > 2 else None
+    said = report(found, lost, compared=len(listed) == 2) | chain_report(sums)
     said |= {"input": names, "pixel_um": {name: face[1] for name, face in faces.items()}, "versions": versions()}
-    pictures = {f"{name}.png": png_bytes(outlined(faces[name][0], found[name])) for name in names}
-    files = {"indents.csv": csv_bytes(COLUMNS, rows(found)), **pictures}
+    files = {"indents.csv": csv_bytes(COLUMNS, rows(found))}
+    files |= {f"{name}.png": png_bytes(outlined(faces[name][0], found[name])) for name in names}
+    if sums is not None:
+        files |= {"chain.csv": chain_table(sums), "chain.png": chain_picture(sums)}
     said["files"] = [*files, "report.json"]
     write_results(output, {**files, "report.json": json_bytes(said)})
     sys.stdout.write(notation.dumps(plain(said), ensure_ascii=False) + "\n" if json else summary(said, output))
     return 0
 
 
-def check_feed(feed_um: float | None, error_um: float) -> None:
-    """Refuse a feed that is no number, or an error that is not positive."""
-    if (feed_um is None or math.isfinite(feed_um)) and 0 < error_um < math.inf:
+def named(before: Path, after: tuple[Path, ...]) -> dict[str, Path]:
+    """Return the pictures by the names their results carry: before and after, or numbered when there are more."""
+    if len(after) <= 1:
+        return dict(zip(("before", "after"), (before, *after), strict=False))
+    return {"before": before, **{f"after_{k}": path for k, path in enumerate(after, start=1)}}
+
+
+def files_of(names: dict[str, Path]) -> list[str]:
+    """Return the names of what is written."""
+    chained = ["chain.csv", "chain.png"] if len(names) > 2 else []
+    return ["indents.csv", *(f"{name}.png" for name in names), *chained, "report.json"]
+
+
+def check_feed(feeds_um: list[float], error_um: float, steps: int) -> None:
+    """Refuse feeds that are no numbers or not one for each step, or an error that is not positive."""
+    if all(map(math.isfinite, feeds_um)) and 0 < error_um < math.inf and len(feeds_um) in {0, steps}:
         return
     raise InputError(
-        f"a feed of {feed_um} ± {error_um} µm cannot be used.",
-        fix="give both as numbers, the error positive: --feed-um 1.5 --feed-error-um 0.1",
+        f"feeds of {feeds_um} ± {error_um} µm cannot be used with {steps} further pictures.",
+        fix="give one number for each further picture, the error positive: --feed-um 1.5 --feed-error-um 0.1",
         code="indents-feed",
     )
+
+
+def chain_report(sums: Chain | None) -> dict[str, Any]:
+    """Return what a chain of faces says, for the report."""
+    if sums is None:
+        return {}
+    return {
+        "chain": {
+            "removed_um": sums.removed_um,
+            "errors_um": sums.errors_um,
+            "tracks": sums.tracks,
+            "chi_square_per_freedom": sums.chi_square_per_freedom,
+        },
+        "notes": list(sums.notes),
+    }
+
+
+def chain_table(sums: Chain) -> bytes:
+    """Encode what was removed up to each face."""
+    steps = [0.0, *np.diff(sums.removed_um)]
+    lines = zip(
+        range(len(steps)), map(float, sums.removed_um), map(float, sums.errors_um), map(float, steps), strict=True
+    )
+    return csv_bytes(("face", "removed_um", "error_um", "since_last_um"), [list(line) for line in lines])
+
+
+def chain_picture(sums: Chain) -> bytes:
+    """Draw what was removed up to each face, and which indents bridge which faces."""
+    figure = Figure(figsize=(8.0, 4.5), dpi=DOTS_PER_INCH, layout="constrained")
+    removed, seen = figure.subplots(1, 2)
+    removed.errorbar(range(len(sums.removed_um)), sums.removed_um, sums.errors_um, fmt="o-", capsize=3)
+    removed.set(title="Removed since the first face", xlabel="face", ylabel="µm")
+    for row, track in enumerate(sums.tracks):
+        seen.plot([face for face, _ in track], [row] * len(track), "o-")
+    seen.set(title="Indents that bridge faces", xlabel="face", ylabel="indent")
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()
+    return png_bytes(np.asarray(canvas.buffer_rgba(), np.uint8)[..., :3].copy())
 
 
 def no_indent(path: Path) -> InputError:
@@ -189,6 +246,10 @@ def summary(said: dict[str, Any], folder: Path) -> str:
     if lost is not None:
         tilt = "" if lost["tilt_deg"] is None else f", tilted by {lost['tilt_deg']:.4f}°"
         lines.append(f"removed {lost['blended_um']:.3f} ± {lost['blended_error_um']:.3f} µm{tilt}")
+    summed = said.get("chain")
+    if summed is not None:
+        ends = summed["removed_um"][-1], summed["errors_um"][-1]
+        lines.append(f"removed in {len(summed['removed_um'])} faces: {ends[0]:.3f} ± {ends[1]:.3f} µm")
     lines += [f"note: {note}" for note in said["notes"]]
     return "\n".join([*lines, *(str(folder / name) for name in said["files"])]) + "\n"
 

@@ -224,6 +224,10 @@ def reading(what: object) -> Iterator[None]:
     """Turn whatever a library makes of broken bytes into one clear `InputError` about ``what``."""
     try:
         yield
+    except FileNotFoundError as error:
+        raise InputError(
+            f"there is no {error.filename or what}.", fix="check the name.", code="input-missing"
+        ) from None
     except PermissionError as error:
         raise InputError(f"{what} may not be read.", why=str(error), fix="ask for the right to read it.") from None
     except BROKEN as error:
