@@ -34,7 +34,7 @@ def interrupted_run(folder: Path, recipe: Recipe | None) -> StoredRun:
     Raises
     ------
     InputError
-        The folder is no run, or nothing is missing from it.
+        The folder is no run of this program, or nothing is missing from it.
     PlanError
         ``recipe`` is given and is not the one the run was started with.
     StoreError
@@ -45,6 +45,12 @@ def interrupted_run(folder: Path, recipe: Recipe | None) -> StoredRun:
     stored = open_run(folder)
     if stored.state is RunEnd.RUNNING:
         raise StoreError(f"{folder} is being written by another run.", fix="wait for it to end", code="run-busy")
+    if "recipe" not in stored.manifest:
+        raise InputError(
+            f"{folder} was imported: it has no recipe to go on with.",
+            fix="import it anew with what was missing",
+            code="imported-run",
+        )
     if not resumable(stored):
         raise InputError(f"{folder}: nothing is missing that can still be taken.", code="nothing-missing")
     if recipe is not None and recipe != stored_recipe(stored):
