@@ -72,6 +72,7 @@ COMMAND_HELP = {
     "relief": "Draw a range image: lit or coloured surface, grid, contour map, profiles.",
     "render": "Make a picture of a stack or volume, without a window.",
     "varifocal": "Plan which plane is shown when, before a mirror that moves.",
+    "view": "Open a window on a stack, a volume, or an instrument at work.",
     "sim": "A simulated bench to put in place of an instrument.",
     "sim serve": "Serve a simulated bench until it is told to end.",
 }

@@ -106,7 +106,7 @@ def _scale_bar(draw: ImageDraw.ImageDraw, camera: Camera, letters: int, unit: st
 
 def _tripod(draw: ImageDraw.ImageDraw, camera: Camera, letters: int, depth: str) -> None:
     """Draw where x, y and z go; the one that comes towards the viewer last."""
-    reach, middle = letters * 2.2, np.array([letters * 3.2, camera.size[1] - letters * 3.2])
+    reach, middle = letters * 2.2, np.array([letters * 3.4, camera.size[1] - letters * 3.6])
     right, down = camera.right / camera.pixel_um, camera.down / camera.pixel_um
     for k in sorted(range(3), key=lambda k: -camera.axis[k]):
         name = "xyz"[k]

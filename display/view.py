@@ -1,0 +1,212 @@
+"""The command ``stereotome view``: a window on a stack, a volume, or an instrument at work."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from cyclopts import Parameter
+
+from acquire.client import Instrument
+from devices.clock import SystemClock
+from display import controls
+from display.controls import Shown
+from display.gl.renderer import Renderer
+from display.gl.show import show, window_context
+from display.live_stack import LiveStack, range_band
+from display.load import limits_of, load_volume
+from display.modes import all_modes, find_mode
+from display.render import parse_size, picture
+from display.resolve import fitting_pixel_um
+from display.scene import Band, Layer, Scene, Volume
+from display.stereo import Mode, Stereo
+from display.window import Window
+from processing.outputs import write_durably
+from processing.pictures import png_bytes
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from devices.protocols import Clock
+    from display.window import Happened
+
+    Picture = NDArray[np.uint8]
+
+STILL_S = 0.15  # after this long without input a picture is drawn in full
+IDLE_S = 0.05
+LIVE_S = 0.01
+CONNECTION = ".json"  # the file a served instrument writes
+
+
+def view(
+    source: str,
+    *,
+    mode: str = "",
+    size: str = "1000x750",
+    stereo: Mode = "mono",
+    pixel_um: float | None = None,
+    step_um: float | None = None,
+    screenshot: Path | None = None,
+    until: Annotated[float | None, Parameter(help="Close after so many seconds.")] = None,
+) -> int:
+    """Open a window on a stack, a volume, or an instrument at work.
+
+    Parameters
+    ----------
+    source
+        What ``stereotome render`` reads, or a served instrument: its name, its connection file, or tcp://HOST:PORT.
+    mode
+        What kind of picture to begin with; mip, or all four live pictures.
+    size
+        Width and height of the window.
+    stereo
+        How two views are shown.
+    pixel_um
+        Size of a pixel in the specimen, for a live stack.
+    step_um
+        Distance of planes; goes before what the file says.
+    screenshot
+        PNG of the last picture, written at the end.
+    """
+    clock = SystemClock()
+    width, height = parse_size(size)
+    feed = None if Path(source).exists() and not source.endswith(CONNECTION) else _feed(source)
+    volume = None if feed is not None else load_volume(Path(source), step_um=step_um, quiet=False)
+    names = tuple(name for name, each in all_modes().items() if each.data is Volume)
+    if mode not in {"", "live"}:
+        find_mode(mode)  # says in words that there is no such mode
+    first = mode or ("live" if feed is not None else "mip")
+    planes = 1 if volume is None else volume.shape[0]
+    modes = ("live", *names) if feed is not None else names
+    shown = Shown(modes, planes, mode=first, stereo=Stereo(stereo), plane=float(planes // 2))
+    window = Window(f"Stereotome: {source}", (width, height))
+    try:
+        sys.stderr.write(controls.HELP)
+        viewer = Viewer(window, Renderer(window_context()), clock, volume, feed, pixel_um)
+        last = viewer.run(shown, until_s=None if until is None else clock.now() + until)
+    finally:
+        window.close()
+        if feed is not None:
+            feed.close()
+    if screenshot is not None and last is not None:
+        write_durably(screenshot, png_bytes(last))
+        sys.stdout.write(f"{screenshot}\n")
+    return 0
+
+
+def _feed(source: str) -> Any:
+    if not source.startswith("tcp://") and not source.endswith(CONNECTION) and ("/" in source or "." in source):
+        load_volume(Path(source))  # says in words that there is no such file
+    return Instrument.connect(Path(source) if source.endswith(CONNECTION) else source).viewer()
+
+
+class Viewer:
+    """The loop of a window: what the user did, what the instrument sent, and a picture when one of them changed."""
+
+    def __init__(
+        self,
+        window: Window,
+        renderer: Renderer,
+        clock: Clock,
+        volume: Volume | None,
+        feed: Any,
+        pixel_um: float | None,
+    ) -> None:
+        self._window = window
+        self._renderer = renderer
+        self._clock = clock
+        self._volume = volume
+        self._feed = feed
+        self._pixel_um = pixel_um
+        self._stack = LiveStack()
+
+    def run(self, shown: Shown, *, until_s: float | None = None) -> Picture | None:
+        """Run until the window is closed; returns the last picture."""
+        last: Picture | None = None
+        drawn: tuple[object, ...] = ()
+        touched_s, before_s = -1.0, self._clock.now()
+        while not (self._window.closed or shown.quit or (until_s is not None and self._clock.now() >= until_s)):
+            happened = self._window.wait(0.0 if shown.playing else LIVE_S if self._feed is not None else IDLE_S)
+            now_s = self._clock.now()
+            shown = controls.tick(self._answered(shown, happened), now_s - before_s)
+            touched_s, before_s = (now_s if happened else touched_s), now_s
+            shown = self._fed(shown)
+            moving = now_s - touched_s < STILL_S and touched_s > 0
+            state = (shown, self._window.size, moving, self._stack.count, id(self._stack.newest), id(self._volume))
+            if state != drawn and min(self._window.size) > 0:
+                drawn = state
+                last = self._drawn(shown, moving=moving)
+                show(self._renderer.canvas, last, self._window.size)
+                self._window.swap()
+        return last
+
+    def _answered(self, shown: Shown, happened: Happened) -> Shown:
+        for key in happened.keys:
+            shown = controls.press(shown, key)
+        for right, down, button in happened.drags:
+            pixel_um = 1.0 if self._volume is None else fitting_pixel_um(self._scene(shown), self._window.size)
+            shown = controls.drag(shown, right, down, button, pixel_um)
+        return controls.wheel(shown, happened.wheel) if happened.wheel else shown
+
+    def _fed(self, shown: Shown) -> Shown:
+        """Take the newest frame of an instrument, if there is one."""
+        frame = None if self._feed is None else self._feed.newest(0.0)
+        if frame is None:
+            return shown
+        before = self._stack.count
+        self._stack.take(frame)
+        if self._stack.count != before or self._volume is None:
+            self._volume = self._stack.volume(self._pixel_um)
+        return controls.grown(shown, max(self._stack.count, 1))
+
+    def _scene(self, shown: Shown) -> Scene:
+        assert self._volume is not None
+        mode = "mip" if shown.mode == "live" else shown.mode
+        return Scene((Layer(self._volume, mode, replace(shown, mode=mode).look),), shown.view, shown.stereo)
+
+    def _drawn(self, shown: Shown, *, moving: bool) -> Picture:
+        width, height = self._window.size
+        size = (max(width // 2, 1), max(height // 2, 1)) if moving else (width, height)
+        if shown.mode == "live":
+            return self._four(shown, size)
+        if self._volume is None:
+            return np.zeros((size[1], size[0], 3), np.uint8)
+        return picture(self._renderer, self._scene(shown), size)
+
+    def _four(self, shown: Shown, size: tuple[int, int]) -> Picture:
+        """Newest plane, extended focus so far, range so far and volume so far, side by side."""
+        part = (max(size[0] // 2, 1), max(size[1] // 2, 1))
+
+        def empty() -> Picture:
+            return np.zeros((part[1], part[0], 3), np.uint8)
+
+        focus = self._stack.focus()
+        newest = self._stack.newest
+        panes = [
+            empty() if newest is None else self._flat(_band(newest, "newest plane"), part),
+            empty() if focus is None else self._flat(_band(focus[0], "extended focus so far"), part),
+            empty() if focus is None else self._flat(range_band(focus[1]), part),
+            empty() if self._volume is None else self._fitted(self._scene(shown), part),
+        ]
+        return np.vstack([np.hstack(panes[:2]), np.hstack(panes[2:])])
+
+    def _flat(self, band: Band, size: tuple[int, int]) -> Picture:
+        pixel = self._pixel_um or 1.0
+        volume = Volume((band,), (pixel,) * 3, "µm" if self._pixel_um else "voxels")
+        return self._fitted(Scene((Layer(volume, "slice", find_mode("slice").look()),)), size)
+
+    def _fitted(self, scene: Scene, size: tuple[int, int]) -> Picture:
+        """Draw a scene so that what its stereo makes of it has a size of its own."""
+        made = picture(self._renderer, scene, size)
+        if made.shape[:2] == size[::-1]:
+            return made
+        import cv2  # noqa: PLC0415
+
+        return np.asarray(cv2.resize(made, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _band(values: Any, name: str) -> Band:
+    return Band(np.ascontiguousarray(values)[None], limits_of(np.asarray(values)), name)
