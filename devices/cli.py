@@ -71,6 +71,7 @@ COMMAND_HELP = {
     "stage zero": "Call the present place 0 µm.",
     "relief": "Draw a range image: lit or coloured surface, grid, contour map, profiles.",
     "render": "Make a picture of a stack or volume, without a window.",
+    "surface": "Draw surfaces of features, from meshes or labelled volumes.",
     "varifocal": "Plan which plane is shown when, before a mirror that moves.",
     "view": "Open a window on a stack, a volume, or an instrument at work.",
     "sim": "A simulated bench to put in place of an instrument.",

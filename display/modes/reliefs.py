@@ -10,14 +10,13 @@ import numpy as np
 from display.light import linear, linear_of
 from display.modes import Bar, Legend, mode
 from display.relief import Relief, ReliefLook
+from display.resolve import light_vector
 from display.scene import colour_table
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from display.gl.canvas import Canvas
     from display.resolve import Camera, Drawing
-    from display.scene import Layer, Light
+    from display.scene import Light
 
 UNLIT, SHADINGS = 0, {"flat": 1, "gouraud": 2, "phong": 3}
 PLAIN, TABLED, DRAPED, OWN = range(4)
@@ -33,7 +32,7 @@ def mesh_uniforms(camera: Camera, light: Light) -> dict[str, Any]:
         "along": camera.along / np.linalg.norm(camera.along),
         "eye": np.zeros(3) if camera.eye is None else camera.eye,
         "perspective": camera.eye is not None,
-        "to_light": to_light(camera, light),
+        "to_light": light_vector(camera, light),
         "answer": (light.ambient, light.diffuse, light.specular, light.shininess),
         "surface_colour": (GREY, GREY, GREY),
         "behind": 0.0,
@@ -41,13 +40,6 @@ def mesh_uniforms(camera: Camera, light: Light) -> dict[str, Any]:
         "first_contour": 0.0,
         "cycles": 1.0,
     }
-
-
-def to_light(camera: Camera, light: Light) -> NDArray[np.float64]:
-    """Return the unit vector to a light, which stays with the viewer."""
-    a, e = np.radians(light.azimuth_deg), np.radians(light.elevation_deg)
-    right, down = camera.right / camera.pixel_um, camera.down / camera.pixel_um
-    return np.asarray(np.sin(a) * np.cos(e) * right - np.sin(e) * down - np.cos(a) * np.cos(e) * camera.axis)
 
 
 class ReliefMode:
@@ -85,9 +77,9 @@ class ReliefMode:
             return {"drape": canvas.picture(linear(image))}
         return {}
 
-    def legend(self, layer: Layer | Drawing) -> Legend:
+    def legend(self, drawing: Drawing) -> Legend:
         """Return the colour bar, and what was done to the heights."""
-        relief, look = layer.data, layer.look
+        relief, look = drawing.data, drawing.look
         bars = _bars(relief, look) if look.paint in {"heights", "cycles"} else ()
         return Legend(bars, (*self.words(relief, look), *relief_words(relief, look)))
 
@@ -114,10 +106,10 @@ class Coloured(ReliefMode):
         unlit = replace(drawing, layer=replace(drawing.layer, look=look))
         self.surface(canvas, unlit, UNLIT, PAINTS[look.paint])
 
-    def legend(self, layer: Layer | Drawing) -> Legend:  # noqa: D102
-        look = layer.look if layer.look.paint != "plain" else replace(layer.look, paint="heights", colours="gray")
-        bars = () if look.paint == "image" else _bars(layer.data, look)
-        return Legend(bars, relief_words(layer.data, look))
+    def legend(self, drawing: Drawing) -> Legend:  # noqa: D102
+        look = drawing.look if drawing.look.paint != "plain" else replace(drawing.look, paint="heights", colours="gray")
+        bars = () if look.paint == "image" else _bars(drawing.data, look)
+        return Legend(bars, relief_words(drawing.data, look))
 
 
 @mode("grid")
@@ -138,8 +130,8 @@ class Grid(ReliefMode):
             lines=True,
         )
 
-    def legend(self, layer: Layer | Drawing) -> Legend:  # noqa: D102
-        return Legend(_bars(layer.data, layer.look), relief_words(layer.data, layer.look))
+    def legend(self, drawing: Drawing) -> Legend:  # noqa: D102
+        return Legend(_bars(drawing.data, drawing.look), relief_words(drawing.data, drawing.look))
 
 
 def relief_words(relief: Relief, look: ReliefLook) -> tuple[str, ...]:

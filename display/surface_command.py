@@ -1,0 +1,95 @@
+"""The command ``stereotome surface``: surfaces of features, from meshes or labelled volumes."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path  # noqa: TC003  the command line is made from the annotations
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from display.gl.renderer import Renderer
+from display.load_surfaces import load_surfaces
+from display.render import Moving, Seeing, check_output, numbers, parse_size, share, stereo_of, view_of, write
+from display.scene import Layer, Light, Scene
+from display.surfaces import SurfaceLook, chosen
+
+Switch = Parameter(negative="")
+
+
+def surface(
+    data: Path,
+    /,
+    *,
+    mode: Literal["surface", "outlines"] = "surface",
+    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    size: str = "800x600",
+    opacity: float = 1.0,
+    bright: str = "",
+    dimmed: float = 0.25,
+    one_colour: Annotated[bool, Switch] = False,
+    lines: Annotated[bool, Switch] = False,
+    shading: Literal["flat", "gouraud", "phong"] = "phong",
+    light: str = "-35,40",
+    answer: str = "0.15,0.75,0.25,20",
+    step_um: float | None = None,
+    seeing: Seeing = Seeing(),  # noqa: B008  frozen
+    moving: Moving = Moving(),  # noqa: B008
+    plain: Annotated[bool, Switch] = False,
+    overwrite: Annotated[bool, Switch] = False,
+) -> int:
+    """Draw surfaces of features, each in its colour.
+
+    Parameters
+    ----------
+    data
+        STL, PLY, OBJ, OFF, glTF (in µm), or a volume in which each feature has a number of its own.
+    mode
+        surface, or the outlines of its sections as lines.
+    output
+        PNG, MP4 or GIF to write.
+    size
+        Width and height of one view in pixels.
+    opacity
+        Of all surfaces.
+    bright
+        Names of those that matter, separated by commas; the others are dimmed.
+    dimmed
+        Opacity of the others.
+    one_colour
+        A feature's colour says nothing about its direction; else it is darker the more it lies along the planes.
+    lines
+        Draw the outlines of sections as well.
+    shading
+        Light worked out for each facet, point or pixel.
+    light
+        Direction the light comes from: to the right and above, degrees.
+    answer
+        Ambient, diffuse and specular shares, and shininess.
+    step_um
+        Distance of planes; goes before what the file says.
+    plain
+        Leave out scale bar, axes and words.
+    overwrite
+        Replace a file that is there.
+    """
+    check_output(output, overwrite=overwrite)
+    pixels, stereo, view = parse_size(size), stereo_of(seeing), view_of(seeing)
+    aside, above = numbers(light, "--light", count=2)
+    ambient, diffuse, specular, shininess = numbers(answer, "--answer", count=4)
+    found = load_surfaces(data, step_um=step_um, shaded=not one_colour)
+    if mode == "surface" and not lines:
+        found = replace(found, meshes=tuple(replace(mesh, lines=mesh.lines[:0]) for mesh in found.meshes))
+    look = SurfaceLook(
+        shading,
+        share(opacity, "--opacity"),
+        tuple(chosen(found, filter(None, bright.split(",")))),
+        share(dimmed, "--dimmed"),
+        Light(aside, above, ambient, diffuse, specular, shininess),
+    )
+    with Renderer() as renderer:
+        write(renderer, Scene((Layer(found, mode, look),), view, stereo), pixels, output, moving, plain=plain)
+    sys.stderr.writelines(f"note: {note}\n" for note in stereo.warnings)
+    sys.stdout.write(f"{output}\n")
+    return 0
