@@ -60,9 +60,30 @@ def focal_stack() -> Layers:
     return {"volume": volume, "z_um": np.arange(9) * 0.5, "pixel_um": 0.25}
 
 
+def blurred_volume() -> Layers:
+    """A bright spot and its blur."""
+    z, y, x = np.mgrid[-2:3, -4:5, -4:5]
+    psf = np.exp(-(z**2) / 2 - (y**2 + x**2) / 4).astype(np.float32)
+    truth = np.zeros((8, 20, 24))
+    truth[4, 10, 12], truth[3, 5, 6] = 9000, 5000
+    light = ndimage.convolve(truth, psf / psf.sum(), mode="constant")
+    seen = np.random.default_rng(8).poisson(light + 20).astype(np.uint16)
+    return {"volume": seen, "psf": psf / psf.sum()}
+
+
+DEBLUR = {"noise": 1.0, "background": 20.0}
+
 SAMPLES: dict[str, Sample] = {
+    "deblur.psf": lambda: (
+        {"spacing_um": (0.3, 0.1, 0.1)},
+        {"na": 0.9, "wavelength_um": 0.5, "planes": 5, "side_px": 9},
+    ),
+    "deblur.richardson_lucy": lambda: (blurred_volume(), {**DEBLUR, "most_steps": 4}),
+    "deblur.van_cittert": lambda: (blurred_volume(), DEBLUR),
+    "deblur.wiener": lambda: (blurred_volume(), DEBLUR),
     "focus.stack": lambda: (focal_stack(), {"method": "transparent"}),
     "focus.view": lambda: (focal_stack(), {"azimuth_deg": 20.0, "tilt_deg": 50.0}),
+    "volume.cubic": lambda: (focal_stack(), {"side_um": 0.3, "method": "cubic"}),
     "range.fill": lambda: (relief(), {}),
     "range.level": lambda: (relief(), {}),
     "range.median": lambda: (relief(holes=False), {"side_px": 5}),
