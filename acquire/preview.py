@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -31,7 +31,7 @@ def preview(frame: Frame) -> Preview:
     """Return a frame as a small JPEG, its grey levels stretched between two percentiles that are told with it."""
     small = _small(frame.pixels)
     black, white = _span(small)
-    stretched = np.clip((small.astype(np.float32) - black) * (255 / (white - black)), 0, 255).astype(np.uint8)
+    stretched = np.take(_table(black, white, small.dtype), small)
     shown = stretched[..., ::-1] if stretched.ndim == 3 else stretched
     _, jpeg = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     header = frame.header
@@ -46,6 +46,12 @@ def preview(frame: Frame) -> Preview:
         white=white,
         utc_ns=header.utc_ns,
     )
+
+
+def _table(black: int, white: int, dtype: np.dtype[Any]) -> np.ndarray:
+    """Return what becomes of each grey level: straight from ``black`` to ``white``, 0 and 255 beyond."""
+    levels = np.arange(np.iinfo(dtype).max + 1, dtype=np.float32)
+    return np.asarray(np.rint(np.clip((levels - black) * (255 / (white - black)), 0, 255)), np.uint8)
 
 
 def _small(pixels: np.ndarray) -> np.ndarray:
