@@ -18,8 +18,9 @@ from cyclopts import Parameter
 from acquire.bench import instrument_spec, opened
 from acquire.engine import FINAL, RunState
 from acquire.estimate import timed_steps
+from acquire.planning import pace_of, plan_run
 from acquire.progress import progress
-from acquire.recipe import Recipe, load_recipe, pace_of, plan_run
+from acquire.recipe import Recipe, load_recipe
 from acquire.recorder import size
 from acquire.remote_session import remote_session, served_instrument
 from acquire.resume import interrupted_run
@@ -37,6 +38,8 @@ from acquire.session import (
 )
 from acquire.standing import END
 from acquire.store import RunEnd, is_run, open_run
+from acquire.useq_file import is_useq, read_useq
+from acquire.words import ranges, took
 from devices.clock import SystemClock
 from devices.errors import InputError, StereotomeError
 from devices.rig import open_rig
@@ -71,6 +74,7 @@ def run(
     yes: Annotated[bool, Parameter(name=["--yes", "-y"], negative="")] = False,
     on_hold: Literal["ask", "end"] | None = None,
     server: Annotated[bool | str, Parameter(negative="")] = False,
+    answer: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     json_: Annotated[bool, Parameter(name="--json", negative="")] = False,
 ) -> int:
     """Take a stack as a recipe says, or say with --dry-run what would be taken or what a run folder lacks.
@@ -78,7 +82,7 @@ def run(
     Parameters
     ----------
     recipe
-        The recipe file; with --dry-run also the folder of an earlier run.
+        The recipe file, or a useq-schema MDASequence in YAML or JSON; with --dry-run also the folder of a run.
     instrument
         The instrument file.
     sim
@@ -101,16 +105,21 @@ def run(
     server
         Have a running `stereotome serve` take it: --server, or --server=NAME. So it is anyhow when the instrument is
         being served.
+    answer
+        An answer given beforehand to the next question, and to the one after it: --answer again --answer not-done
     json_
         Write one JSON object a line to standard output.
     """
     if recipe is not None and recipe.is_dir():
         return _describe(recipe, dry_run=dry_run, as_json=json_)
     on_rig = tuple(given for given in set_ if given.startswith(RIG_TABLES))
-    loaded = None if recipe is None else load_recipe(recipe, tuple(given for given in set_ if given not in on_rig))
+    on_recipe = tuple(given for given in set_ if given not in on_rig)
+    loaded = None if recipe is None else read_useq(recipe) if is_useq(recipe) else load_recipe(recipe, on_recipe)
     stored = None if resume is None else interrupted_run(resume, loaded)
     tell = _json_line if json_ else _nothing
-    options = Options(inspect=None, attended=(sys.stdin.isatty() if on_hold is None else on_hold == "ask"))
+    options = Options(
+        inspect=None, attended=(sys.stdin.isatty() if on_hold is None else on_hold == "ask"), answers=answer
+    )
     events: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
     with ExitStack() as stack:
         served = None if sim or dry_run else served_instrument(stack, server, instrument)
@@ -220,7 +229,7 @@ def _summary(plan: RunPlan, cost: Estimate) -> str:
     repeated = f"{_repeats(plan)} of " if plan.times > 1 or plan.sections else ""
     return (
         f"{repeated}{plan.stack.count} planes from {first:+.3f} to {last:+.3f} µm, "
-        f"step {plan.stack.step_nm / 1000:g} µm, {plan.stack.exposure_ms:g} ms each, about {_duration(cost.seconds)}, "
+        f"step {plan.stack.step_nm / 1000:g} µm, {plan.stack.exposure_ms:g} ms each, about {took(cost.seconds)}, "
         f"{cost.dose_s:.3g} s of light on each face, {disk}"
     )
 
@@ -229,14 +238,6 @@ def _repeats(plan: RunPlan) -> str:
     if plan.sections is None:
         return f"{plan.times} points in time"
     return f"{plan.times} sections of {plan.sections.thickness_nm} nm ({plan.sections.removals} removals)"
-
-
-def _duration(seconds: float) -> str:
-    """Return a time in words: ``45 s``, ``2 h 05 min``."""
-    if seconds < 120:
-        return f"{seconds:.0f} s"
-    hours, minutes = divmod(round(seconds / 60), 60)
-    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min"
 
 
 def _dry_run(recipe: Recipe, spec: RigSpec, out: Path | None, tell: Callable[[dict[str, Any]], None]) -> int:
@@ -383,17 +384,6 @@ def _failure_code(outcome: Outcome) -> int:
     """Return 6 for a full disk whatever was kept, 9 for any other failure once there is data to keep."""
     code = 1 if outcome.error is None else outcome.error.exit_code
     return ENDED_EARLY if outcome.durable and code != 6 else code
-
-
-def ranges(numbers: Sequence[int]) -> str:
-    """Return sorted whole numbers in words: ``0-2, 7``."""
-    parts: list[list[int]] = []
-    for number in numbers:
-        if parts and number == parts[-1][-1] + 1:
-            parts[-1][1:] = [number]
-        else:
-            parts.append([number])
-    return ", ".join("-".join(map(str, part)) for part in parts)
 
 
 def _describe(folder: Path, *, dry_run: bool, as_json: bool) -> int:

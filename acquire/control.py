@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from acquire.state import RunState, Scope
 from devices.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from acquire.state import Board, Question
     from devices.protocols import Clock
@@ -51,6 +52,8 @@ class Control:
         Told of each change.
     attended : bool
         Whether somebody may answer; without, a question ends the run as HELD.
+    answers : sequence of str
+        Given beforehand to the questions to come, in this order, as far as they are answers to them.
     """
 
     def __init__(
@@ -61,12 +64,14 @@ class Control:
         note: Note = lambda _: None,
         tell: Note = lambda _: None,
         attended: bool = True,
+        answers: Sequence[str] = (),
     ) -> None:
         self._board = board
         self._clock = clock
         self._note = note
         self._tell = tell
         self._attended = attended
+        self._prepared = deque(answers)
         self._cancelled = threading.Event()
         self._stopped = threading.Event()
         self._choice: str | None = None
@@ -158,9 +163,10 @@ class Control:
         asked = {"code": question.code, "question": question.words, "answers": dict(question.answers)}
         self._note({"e": "hold", "section": self._board.section, **asked})
         self._tell({"event": "hold", "section": self._board.section, **asked})
-        if not self._attended:
+        prepared = self._prepared and self._prepared[0] in question.answers
+        if not (prepared or self._attended):
             raise Held(question)
-        choice = self._wait_for_answer(question, solved)
+        choice = self._prepared.popleft() if prepared else self._wait_for_answer(question, solved)
         self._note({"e": "answer", "section": self._board.section, "code": question.code, "choice": choice})
         if choice == END:
             self.cancel()

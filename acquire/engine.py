@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from acquire.autofocus import Focus
+from acquire.between import Between
 from acquire.control import Cancelled, Control, Held
 from acquire.focusing import Focusing
 from acquire.frame import Missed
-from acquire.gate import TakesFrames
 from acquire.inspection import Hands, Inspection
 from acquire.plan import Plane
+from acquire.ports import CAREFUL, FrameOut, Policy, SectionOut
 from acquire.recorder import DiskLow
 from acquire.removal import Removal
 from acquire.run_plan import Kind, RunPlan, Step, run_plan
 from acquire.sequence import TriggeredStack
+from acquire.series import Series
 from acquire.snap import snap
 from acquire.standing import AGAIN, END, ENDS, NOTHING_REMOVED, Standing
 from acquire.state import FINAL, Board, Phase, Question, RunState, RunStatus, Scope
 from acquire.store import RunEnd
 from acquire.taker import CAMERA_STOP_S, Mover, Place, PlaneTaker
-from acquire.verdict import Finding, no_inspection
+from acquire.verdict import no_inspection
 from devices.errors import (
     CameraTimeout,
     DeviceError,
@@ -49,80 +50,6 @@ __all__ = ["FINAL", "Phase", "Policy", "Run", "RunState", "RunStatus"]
 LEAVE_OUT = "leave-out"
 UNFOCUSED = Focus()
 MOVING = {Phase.MOVING, Phase.SETTLING, Phase.PARKING, Phase.FOCUSING}
-
-
-@dataclass(frozen=True)
-class Policy:
-    """What the engine may decide by itself.
-
-    Attributes
-    ----------
-    gap_on_error : bool
-        Record a plane that cannot be taken as missing and go on, instead of ending the run.
-    triggered : bool
-        Let stage and camera trigger each other; planes that this does not bring are taken one by one.
-    asks : bool
-        Ask the operator where the run would otherwise end.
-    attended : bool
-        Somebody may answer; without, a question ends the run as HELD.
-    accepts : collection of Finding
-        Faults of a face that are noted and left as they are, where the operator would be asked.
-    """
-
-    gap_on_error: bool = False
-    triggered: bool = False
-    asks: bool = False
-    attended: bool = True
-    accepts: frozenset[Finding] = frozenset()
-
-
-class FrameOut(TakesFrames, Protocol):
-    """Where the frames of a run go; `acquire.recorder.Recorder` at the bench."""
-
-    @property
-    def durable(self) -> int:
-        """Planes that are verified on disk."""
-        ...
-
-    def check(self) -> None:
-        """Raise if no further plane can be kept."""
-        ...
-
-    def missed(self, missed: Missed) -> None:
-        """Record a plane that stays empty."""
-        ...
-
-    def finish(self, end: RunEnd, reason: str = "") -> RunEnd:
-        """Make everything durable and return how the run really ended."""
-        ...
-
-
-class SectionOut(FrameOut, Protocol):
-    """Where the frames of a run of sections go."""
-
-    def note(self, record: dict[str, Any]) -> None:
-        """Put a record into the journal; it is durable upon return."""
-        ...
-
-    def settle(self) -> None:
-        """Wait until every frame handed over is durable."""
-        ...
-
-    def reject(self, slots: Collection[int], reason: str) -> None:
-        """Take planes back: they are to be taken again."""
-        ...
-
-    def check_room(self, frames: int) -> None:
-        """Raise unless that many frames can be kept."""
-        ...
-
-    def commit_section(self, section: int, waived: Collection[int]) -> None:
-        """Record that a section is complete but for ``waived`` planes, and show it to readers."""
-        ...
-
-    def planes(self, section: int) -> SectionPlanes:
-        """Return the durable planes of a section."""
-        ...
 
 
 class Run:
@@ -165,7 +92,7 @@ class Run:
         clock: Clock,
         *,
         feed: Feed | None = None,
-        policy: Policy = Policy(),
+        policy: Policy = CAREFUL,
         done: Collection[int] = (),
         committed: int = 0,
         known: Standing = NOTHING_REMOVED,
@@ -186,7 +113,9 @@ class Run:
         self._tell = tell
         self._switch_band = switch_band
         self._board = Board()
-        self._control = Control(self._board, clock, note=self._note, tell=self._say, attended=policy.attended)
+        self._control = Control(
+            self._board, clock, note=self._note, tell=self._say, attended=policy.attended, answers=policy.answers
+        )
         self._mover = Mover(stage, self._control, self._board)
         self._taker = PlaneTaker(
             self._plan.stack,
@@ -208,11 +137,12 @@ class Run:
         self._focusing = Focusing(
             self._plan, stage.limits, self._durable_planes, self._picture, self._note, focus=focus
         )
-        self._begin_s = clock.now()
+        self._between = Between(self._plan, clock, self._control, self._board, self._note)
         self.error: StereotomeError | None = None
         self.held: Question | None = None
         self._steps: dict[Kind, Callable[[Step], None]] = {
-            Kind.WAIT: self._wait,
+            Kind.WAIT: self._between.wait,
+            Kind.TILT: self._tilt,
             Kind.FOCUS: self._focus,
             Kind.EXPOSE: self._expose,
             Kind.COMMIT: self._commit,
@@ -251,6 +181,10 @@ class Run:
     def answer(self, choice: str) -> None:
         """Answer the question of a run on HOLD; raises `devices.errors.InputError` if it is no answer to it."""
         self._control.answer(choice)
+
+    def note(self, text: str) -> None:
+        """Put a note of the operator's into the journal, of a run that has one."""
+        self._note({"e": "note", "section": self._board.section, "text": text})
 
     def cancel(self) -> None:
         """End after the exposure or cut in progress; what was taken is kept. A move of the stage is halted."""
@@ -352,7 +286,9 @@ class Run:
             self._removal.begin()
         if self._triggered:
             self._take_triggered()
-        self._begin_s = self._clock.now()
+        self._between.begin(self._first_missing())
+        if self._plan.at_camera_rate:
+            self._take_at_camera_rate()
         for section in range(self._committed, self._plan.times):
             self._board.section = section
             self._control.heed(Scope.SECTION)
@@ -384,14 +320,28 @@ class Run:
             case _:
                 raise AssertionError(step)
 
-    def _wait(self, step: Step) -> None:
-        """Wait until a point in time of a series is due."""
-        assert self._plan.series is not None
-        due_s = self._begin_s + step.section * self._plan.series.interval_ms / 1000
-        self._board.phase = Phase.WAITING
-        while (left_s := due_s - self._clock.now()) > 0:
-            self._control.heed(Scope.SECTION)
-            self._clock.sleep(min(left_s, 0.05))
+    def _tilt(self, step: Step) -> None:
+        if self._recorded.isdisjoint(self._plan.slots_of(step.section)):
+            self._between.tilt(step)
+            self._taker.forget_approach()
+
+    def _first_missing(self) -> int:
+        """Return the first point in time of which a plane is missing."""
+        slots = range(len(self._plan))
+        return next((slot for slot in slots if slot not in self._recorded), 0) // self._plan.slots_each
+
+    def _take_at_camera_rate(self) -> None:
+        """Take a series as fast as frames come; what is lost on the way stays a gap at its time."""
+        self._control.heed(Scope.PLANE)
+        series = Series(self._plan, self._camera, self._out, self._clock, self._control, utc_ns=self._utc_ns)
+        z_um = self._taker.go_to(self._plan.stack.plane(0))
+        self._board.phase = Phase.EXPOSING
+        for section in series.take(self._first_missing(), z_um, check=self._check_out):
+            self._board.section = section
+            self._record(section, 0, 0, z_um)
+        for section, reason in series.lost.items():
+            self._miss(Step(Kind.EXPOSE, section), CameraTimeout(reason, code="frame-lost"))
+            self._recorded.add(section)
 
     def _focus(self, step: Step) -> None:
         """Bring the focus where the section's planes are to be taken, unless some of them are taken already."""
@@ -544,6 +494,8 @@ class Run:
             self._control.enter(RunState.CANCELLING)
         self._try(self._stage.halt)
         self._try(lambda: self._camera.stop(CAMERA_STOP_S))
+        if self._removal:
+            self._removal.leave()
         self._try(self._return)
         self._try(lambda: self._hand_controls(enabled=True))
         self._control.enter(RunState.FINALISING)

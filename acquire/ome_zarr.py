@@ -221,9 +221,14 @@ def sync_folder(folder: Path) -> None:
 
 def replace_json(path: Path, content: dict[str, Any]) -> None:
     """Replace a JSON file in one durable step: a reader sees the old one or the new one, never half of it."""
+    replace_text(path, json.dumps(content, indent=1, ensure_ascii=False))
+
+
+def replace_text(path: Path, text: str) -> None:
+    """Replace a text file in one durable step."""
     part = path.with_name(path.name + ".part")
     with part.open("w", encoding="utf-8") as file:
-        json.dump(content, file, indent=1, ensure_ascii=False)
+        file.write(text)
         file.flush()
         os.fsync(file.fileno())
     part.replace(path)

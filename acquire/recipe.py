@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from acquire.estimate import Pace
-from acquire.optics import depth_of_field_um, nyquist_step_um
-from acquire.plan import DEFAULT_TOLERANCE_NM, StackPlan, steps_in_range
-from acquire.run_plan import RunPlan, SectionPlan
+from acquire.plan import DEFAULT_TOLERANCE_NM
 from acquire.verdict import Finding
-from devices.errors import LimitError, PlanError
-from devices.feed_spec import KnifeSpec
+from devices.errors import PlanError
 from devices.toml_model import Table, load_model, load_text
 from devices.values import to_nm
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from devices.feed_spec import FeedLimits, FeedSpec
-    from devices.rig import OpticsSpec, RigSpec
-
 Positive = Annotated[float, Field(gt=0)]
-KNIFE_WAYS_S = 1.0  # to the window and out of it
-BACKLASH_MARGIN = 2.0  # overshoot this many times the stated backlash
 
 
 class OutputSpec(Table):
@@ -46,13 +36,30 @@ class OutputSpec(Table):
     keep_free_gb: Annotated[float, Field(ge=0)] = 1.0
 
 
+class BandUse(Table):
+    """A band to take, with an exposure of its own."""
+
+    name: str
+    exposure_ms: Positive | None = None
+
+
 class StackSpec(Table):
-    """``[stack]``: one focal stack.
+    """``[stack]``: one focal stack, by a range, around where the stage is, or by a list.
 
     Attributes
     ----------
-    top_um, bottom_um : float
+    top_um, bottom_um : float or None
         The range, ends included.
+    around_um : float or None
+        Instead: a range of this length, half of it above and half below where the stage is when the run begins.
+    positions_um : tuple of float or None
+        Instead: these positions, in this order; they need not be evenly apart.
+    offsets_um : tuple of float or None
+        Instead: these distances from where the stage is when the run begins.
+    bands : tuple
+        Names of the instrument's bands to take each plane in, or tables with ``name`` and ``exposure_ms``.
+    order : str
+        ``stack``: all planes of a band, then the next band. ``plane``: all bands of a plane, then the next plane.
     step : float, "nyquist" or "dof"
         Distance of planes in µm, or computed from the optics.
     planes : int or None
@@ -71,8 +78,13 @@ class StackSpec(Table):
         ``hardware`` lets stage and camera trigger each other over their cables, with no computer between two planes.
     """
 
-    top_um: float
-    bottom_um: float
+    top_um: float | None = None
+    bottom_um: float | None = None
+    around_um: Annotated[float, Field(ge=0)] | None = None
+    positions_um: Annotated[tuple[float, ...] | None, Field(strict=False, min_length=1)] = None
+    offsets_um: Annotated[tuple[float, ...] | None, Field(strict=False, min_length=1)] = None
+    bands: Annotated[tuple[str | BandUse, ...], Field(strict=False)] = ()
+    order: Literal["stack", "plane"] = "stack"
     step: Positive | Literal["nyquist", "dof"] | None = None
     planes: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
     direction: Literal["up", "down"] = "up"
@@ -84,13 +96,43 @@ class StackSpec(Table):
 
     @model_validator(mode="after")
     def _makes_sense(self) -> StackSpec:
-        if self.top_um < self.bottom_um:
-            raise ValueError(f"top_um {self.top_um:g} is below bottom_um {self.bottom_um:g}")
+        ranged = self.top_um is not None or self.bottom_um is not None
+        if sum((ranged, self.around_um is not None, bool(self.positions_um), bool(self.offsets_um))) != 1:
+            raise ValueError("give top_um and bottom_um, or around_um, or positions_um, or offsets_um")
+        if self.listed_um(0.0) is not None:
+            if self.step is not None or self.planes is not None:
+                raise ValueError("a list of positions needs neither step nor planes")
+            return self
+        return self._sensible_range()
+
+    def _sensible_range(self) -> StackSpec:
+        first_um, last_um = self.range_um(0.0)
+        if first_um is None or last_um is None:
+            raise ValueError("a range needs both top_um and bottom_um")
+        if last_um < first_um:
+            raise ValueError(f"top_um {last_um:g} is below bottom_um {first_um:g}")
         if (self.step is None) == (self.planes is None):
             raise ValueError("give either step or planes")
-        if self.planes == 1 and self.top_um != self.bottom_um:
+        if self.planes == 1 and first_um != last_um:
             raise ValueError("one plane has no range: make top_um and bottom_um equal, or give more planes")
         return self
+
+    @property
+    def starts_here(self) -> bool:
+        """Whether the plan depends on where the stage is when the run begins."""
+        return self.around_um is not None or self.offsets_um is not None
+
+    def listed_um(self, here_um: float) -> tuple[float, ...] | None:
+        """Return the listed positions, for a stage that is at ``here_um``; None for a range."""
+        if self.offsets_um is not None:
+            return tuple(here_um + offset_um for offset_um in self.offsets_um)
+        return self.positions_um
+
+    def range_um(self, here_um: float) -> tuple[float | None, float | None]:
+        """Return bottom and top, for a stage that is at ``here_um``."""
+        if self.around_um is None:
+            return self.bottom_um, self.top_um
+        return here_um - self.around_um / 2, here_um + self.around_um / 2
 
 
 class StereoPairSpec(Table):
@@ -221,11 +263,66 @@ class SectionsSpec(Table):
         return frozenset(debris | (quality if self.on_quality == "accept" else set()))
 
 
-class Recipe(Table):
-    """A recipe file, ``recipe.toml``.
+class SeriesSpec(Table):
+    """``[series]``: the stack again and again, time as an axis.
 
-    ``[watch]`` is accepted as it is: its keys are not looked at until the program can watch.
+    Attributes
+    ----------
+    count : int
+        How often.
+    interval_s : float
+        From the beginning of one to the beginning of the next; 0 is as fast as it goes, a single plane at camera rate.
     """
+
+    count: Annotated[int, Field(ge=1, le=10_000_000)]
+    interval_s: Annotated[float, Field(ge=0)] = 0.0
+
+
+class TiltSpec(Table):
+    """``[tilt]``: the stack at known tilts of the specimen, for a stereo pair; the operator tilts, and says so.
+
+    Attributes
+    ----------
+    angles_deg : tuple of float
+        Tilt of each view, as the operator sets it.
+    """
+
+    angles_deg: Annotated[tuple[float, ...], Field(strict=False, min_length=2)]
+
+
+class NotifySpec(Table):
+    """``[watch] notify``: a command of the user's that is run when something happens.
+
+    Attributes
+    ----------
+    on : tuple of str
+        At an ``error``, when the run is ``done`` however it ends, and at a ``hold``, which waits for an answer.
+    every_sections : int
+        Also each time that many sections are done; 0 never.
+    command : tuple of str
+        Program and arguments; ``{text}`` in them becomes what happened. The run does not wait for it.
+    """
+
+    on: Annotated[tuple[Literal["error", "done", "hold"], ...], Field(strict=False)] = ("error", "done", "hold")
+    every_sections: Annotated[int, Field(ge=0)] = 0
+    command: Annotated[tuple[str, ...], Field(strict=False, min_length=1)]
+
+
+class WatchSpec(Table):
+    """``[watch]``: who hears of the run.
+
+    Attributes
+    ----------
+    observer : str or None
+        Where `stereotome serve` shows it; a run by itself shows nothing.
+    """
+
+    observer: str | None = None
+    notify: NotifySpec | None = None
+
+
+class Recipe(Table):
+    """A recipe file, ``recipe.toml``."""
 
     schema_: Annotated[Literal[1], Field(alias="schema")] = 1
     name: str = "stack"
@@ -234,8 +331,17 @@ class Recipe(Table):
     output: OutputSpec = OutputSpec()
     stack: StackSpec
     process: ProcessSpec = ProcessSpec()
-    watch: dict[str, Any] | None = None
+    watch: WatchSpec = WatchSpec()
     sections: SectionsSpec | None = None
+    series: SeriesSpec | None = None
+    tilt: TiltSpec | None = None
+
+    @model_validator(mode="after")
+    def _one_thing_repeated(self) -> Recipe:
+        given = [name for name in ("sections", "series", "tilt") if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise ValueError(f"give only one of [{'], ['.join(given)}]")
+        return self
 
 
 def load_recipe(path: Path, overrides: tuple[str, ...] = ()) -> Recipe:
@@ -246,131 +352,3 @@ def load_recipe(path: Path, overrides: tuple[str, ...] = ()) -> Recipe:
 def recipe_from_text(text: str, name: str, overrides: tuple[str, ...] = ()) -> Recipe:
     """Read the text of a recipe; ``name`` stands for the file in messages. Raises as `load_recipe` does."""
     return load_text(text, name, Recipe, PlanError, overrides=overrides)
-
-
-def step_um(step: float | str, optics: OpticsSpec, sensor_pixel_um: float | None) -> float:
-    """Return a step in µm, computed from the optics for ``"nyquist"`` and ``"dof"``."""
-    if step == "nyquist":
-        return nyquist_step_um(optics.na, optics.wavelength_um, optics.medium_index)
-    if step == "dof":
-        return depth_of_field_um(
-            optics.na, optics.wavelength_um, optics.medium_index, optics.magnification, sensor_pixel_um or 0.0
-        )
-    return float(step)
-
-
-def plan_stack(stack: StackSpec, rig: RigSpec) -> StackPlan:
-    """Return the plan of a recipe's stack on an instrument.
-
-    Raises
-    ------
-    PlanError
-        The recipe cannot be carried out as written.
-    LimitError
-        A position lies outside the instrument's limits.
-    """
-    axis = rig.stage.z
-    first_um, last_um = (stack.bottom_um, stack.top_um) if stack.direction == "up" else (stack.top_um, stack.bottom_um)
-    if stack.planes is None:
-        assert stack.step is not None
-        step_nm, count = steps_in_range(first_um, last_um, step_um(stack.step, rig.optics, rig.camera.pixel_um))
-    else:
-        count = stack.planes
-        step_nm = round((to_nm(last_um) - to_nm(first_um)) / max(1, count - 1))
-    plan = StackPlan(
-        start_nm=to_nm(first_um),
-        step_nm=step_nm,
-        count=count,
-        exposure_ms=stack.exposure_ms or rig.camera.exposure_ms,
-        overshoot_nm=to_nm(BACKLASH_MARGIN * axis.backlash_um),
-        tolerance_nm=to_nm(stack.tolerance_um),
-        return_nm=_return_nm(stack, rig),
-    )
-    plan.check(axis.soft_limits)
-    return plan
-
-
-def plan_run(recipe: Recipe, rig: RigSpec) -> RunPlan:
-    """Return the plan of a whole recipe on an instrument; raises as `plan_stack`."""
-    sections = None if recipe.sections is None else _plan_sections(recipe.sections, rig)
-    plan = RunPlan(plan_stack(recipe.stack, rig), sections=sections)
-    plan.check(rig.stage.z.soft_limits)
-    return plan
-
-
-def _plan_sections(table: SectionsSpec, rig: RigSpec) -> SectionPlan:
-    if rig.microtome is None:
-        raise PlanError(
-            "the recipe has [sections], but the instrument file has no [microtome].",
-            fix=("add [microtome] to the instrument file", "leave [sections] out to take one focal stack"),
-            code="no-microtome",
-        )
-    if rig.stage.z.park_um is None:
-        raise PlanError(
-            "the recipe has [sections], but the instrument file names no park_um.",
-            why="While the knife moves, the stage has to be out of its way.",
-            fix="set stage.z.park_um to where the objective is clear of knife and block.",
-            code="no-park",
-        )
-    plan = SectionPlan(
-        count=table.sections,
-        thickness_nm=round(table.thickness_nm),
-        park_nm=to_nm(rig.stage.z.park_um),
-        removal="polish" if rig.microtome.kind == "polisher" else "cut",
-        remove_first=table.cut_then_image,
-        clean_s=table.clean_s if table.clean == "wash" else 0.0,
-        sweeps=table.debris_check.sweeps if table.debris_check.on_debris == "recut" else 0,
-        sweep_nm=round(table.debris_check.sweep_nm),
-        focus_every=table.autofocus_every,
-        focus_step_nm=to_nm(table.focus_step_um),
-    )
-    _check_feed(plan, rig.microtome.limits)
-    return plan
-
-
-def _check_feed(plan: SectionPlan, limits: FeedLimits) -> None:
-    """Raise `LimitError` if a section is too thin or thick, or all together are deeper than the feed's whole travel."""
-    if not limits.thickness_nm_min <= plan.thickness_nm <= limits.thickness_nm_max:
-        raise LimitError(
-            f"feed: a section of {plan.thickness_nm} nm is not within {limits.thickness_nm_min:g} … "
-            f"{limits.thickness_nm_max:g} nm. Nothing moved.",
-            fix="choose another thickness, or change limits in [microtome].",
-        )
-    depth_um, travel_um = plan.removals * plan.thickness_nm / 1000, limits.feed_um_max - limits.feed_um_min
-    if depth_um > travel_um:
-        raise LimitError(
-            f"feed: {plan.removals} sections of {plan.thickness_nm} nm are {depth_um:.1f} µm deep; the feed travels "
-            f"{travel_um:g} µm. Nothing moved.",
-            fix="take fewer or thinner sections.",
-        )
-
-
-def _return_nm(stack: StackSpec, rig: RigSpec) -> int | None:
-    first_um = stack.bottom_um if stack.direction == "up" else stack.top_um
-    match stack.return_to:
-        case "start":
-            return to_nm(first_um)
-        case "middle":
-            return to_nm((stack.bottom_um + stack.top_um) / 2)
-        case "park":
-            if rig.stage.z.park_um is None:
-                raise PlanError(
-                    'return_to = "park", but the instrument file names no park_um.',
-                    fix='set stage.z.park_um, or return_to = "start" | "middle" | "stay".',
-                )
-            return to_nm(rig.stage.z.park_um)
-        case "stay":
-            return None
-
-
-def pace_of(rig: RigSpec) -> Pace:
-    """Return how fast the instrument is, for estimates."""
-    axis = rig.stage.z
-    pace = Pace(speed_um_s=axis.speed_um_s or 1000.0, settle_s=axis.settle_ms / 1000)
-    return pace if rig.microtome is None else replace(pace, **_feed_pace(rig.microtome))
-
-
-def _feed_pace(table: FeedSpec) -> dict[str, float]:
-    speed_um_s, knife = table.feed_profile().axis.speed_um_s, table.knife or KnifeSpec()
-    stroke_s = abs(knife.window_um[0] - knife.window_um[1]) / knife.speed_um_s
-    return {"feed_um_s": speed_um_s, "cut_s": stroke_s + 2 * knife.clearance_um / speed_um_s + KNIFE_WAYS_S}

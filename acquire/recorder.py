@@ -114,13 +114,13 @@ class Recorder:
     def reject(self, slots: Collection[int], reason: str) -> None:
         """Take planes back: they are to be taken again."""
         self.settle()
-        with _disk_errors():
+        with disk_errors():
             self._store.reject(slots, reason)
 
     def commit_section(self, section: int, waived: Collection[int]) -> None:
         """Record that a section is complete but for ``waived`` planes, and show it to readers."""
         self.settle()
-        with _disk_errors():
+        with disk_errors():
             self._store.commit_section(section, waived)
 
     def planes(self, section: int) -> SectionPlanes:
@@ -196,7 +196,8 @@ class _Durable:
 
 
 @contextmanager
-def _disk_errors() -> Iterator[None]:
+def disk_errors() -> Iterator[None]:
+    """Turn what a disk says into a `StoreError`."""
     try:
         yield
     except (OSError, ValueError) as error:

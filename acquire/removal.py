@@ -6,10 +6,13 @@ blindly: `acquire.standing` judges, and in doubt the operator is asked.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from acquire.interlock import PARK_TOLERANCE_NM, lease_of
 from acquire.standing import (
     AGAIN,
+    CUT_ANSWERS,
     DONE,
     END,
     ENDS,
@@ -25,6 +28,7 @@ from acquire.standing import (
 )
 from acquire.state import Phase, Question, Scope
 from devices.errors import DeviceError, PlanError, Unsafe
+from devices.feed_errors import FeedHalted, FeedUndecided, KnifeFailed
 from devices.feed_values import FeedState, KnifeState
 from devices.protocols import Microtome
 from devices.values import to_nm, to_um
@@ -39,7 +43,7 @@ if TYPE_CHECKING:
     from acquire.taker import Mover
     from devices.protocols import Clock, Feed, Stage
 
-PARK_TOLERANCE_NM = 1000
+HOLDER = "a run of sections"
 REST_S = 0.1
 REST_LOOKS = 1200
 KNIFE_REST_S = 0.6  # a knife told to cut may begin only after this
@@ -87,6 +91,7 @@ class Removal:
         self._board = board
         self._write = note
         self._asks = asks
+        self._lease = lease_of(stage)
         self.known = known
 
     def begin(self) -> None:
@@ -120,13 +125,12 @@ class Removal:
     def _bring_away(self) -> None:
         z_um = self._mover.move(self._plan.park_nm, Phase.PARKING)
         self._check_parked(z_um)
-        if isinstance(self._feed_axis, Microtome):
-            self._feed_axis.allow_cuts(lambda: self._check_parked(self._stage.position_um()))
 
     def feed(self, step: Step) -> None:
         """Advance by a section; read back."""
         self._control.heed(Scope.BEFORE_CUT)
         self._board.phase = Phase.FEEDING
+        self._lease.take(HOLDER)
         self._through(lambda: self._feed(step.section))
 
     def cut(self, step: Step) -> None:
@@ -138,6 +142,7 @@ class Removal:
         """Make sure, twice, that the knife is out of the way."""
         self._board.phase = Phase.CLEARING
         self._through(lambda: self._clear(step.section))
+        self._lease.release()
 
     @property
     def has_knife(self) -> bool:
@@ -147,10 +152,12 @@ class Removal:
     def sweep(self, section: int) -> None:
         """Let the knife wipe over the face of a section, with the feed drawn back."""
         self._bring_away()
+        self._lease.take(HOLDER)
         self._board.phase = Phase.SWEEPING
         self._through(lambda: self._sweep(section))
         self._board.phase = Phase.CLEARING
         self._through(lambda: self._clear(section))
+        self._lease.release()
 
     def _sweep(self, section: int) -> None:
         if self.known.cleared:  # else it was begun before, and failed: a wipe more or less does no harm, so clear only
@@ -170,6 +177,11 @@ class Removal:
                 self._control.ask(_clean_question(step.section))
             self._note({"e": "clean_done", "section": step.section})
         self._note({"e": "clear", "section": step.section, "knife": "absent", "z_um": self._stage.position_um()})
+        self._lease.release()
+
+    def leave(self) -> None:
+        """Let others move the stage again; it stays parked until the knife is seen to be clear."""
+        self._lease.release()
 
     def _enter(self, step: Step) -> None:
         if self.known.section != step.section:
@@ -189,7 +201,7 @@ class Removal:
 
     def _through(self, act: Callable[[], None]) -> None:
         """Do something to its end; what fails or is in doubt is asked, then looked at anew."""
-        question = self.known.unanswered
+        question, self.known = self.known.unanswered, replace(self.known, unanswered=None)
         while True:
             try:
                 if question is not None:
@@ -200,9 +212,13 @@ class Removal:
             except DeviceError as error:
                 if not self._asks:
                     raise
-                question = _question(error)
+                question = self._question(error)
             else:
                 return
+
+    def _question(self, error: DeviceError) -> Question:
+        look = {AGAIN: "look at feed and knife again, and go on with what they say", END: ENDS}
+        return Question(error.code, f"{error} {error.why}".strip(), CUT_ANSWERS if self.known.doubtful else look)
 
     def _settle(self, choice: str) -> None:
         if choice in (DONE, NOT_DONE):
@@ -242,15 +258,23 @@ class Removal:
             begin_s, before = self._clock.now(), self._feed_axis.cut_count()
             self._note({"e": "cut_intent", "section": section, "cuts_before": before})
             self._microtome.arm()
-            self._feed_axis.cut()
+            self._stroke(section)
             took_s = round(self._clock.now() - begin_s, 3)
             after = self._feed_axis.cut_count()
             self._note({"e": "cut_done", "section": section, "cuts_after": after, "duration_s": took_s})
 
+    def _stroke(self, section: int) -> None:
+        """Cut; when the knife fails on its way, note that its counter alone does not tell what became of the face."""
+        try:
+            self._feed_axis.cut()
+        except (FeedHalted, FeedUndecided, KnifeFailed) as error:
+            self._note({"e": "cut_doubtful", "section": section, "code": error.code, "message": str(error)})
+            raise
+
     def _recover_cut(self, section: int) -> None:
         """Find out whether a cut that was begun was made."""
         knife, counted = self._resting_knife()
-        act = judge_cut(knife, counted, self.known.cuts_before)
+        act = judge_cut(knife, counted, self.known.cuts_before, doubtful=self.known.doubtful)
         said = "cut_done" if act is Act.DONE else "cut_not_done"
         self._note({"e": said, "section": section, "cuts_after": counted, "recovered": True})
 
@@ -326,14 +350,6 @@ def _microtome(plan: SectionPlan, feed: Feed) -> Microtome | None:
     if not isinstance(feed, Microtome):
         raise PlanError("the feed has no knife.", fix='add [microtome.knife], or set sections.removal = "polish".')
     return feed
-
-
-def _question(error: DeviceError) -> Question:
-    return Question(
-        error.code,
-        f"{error} {error.why}".strip(),
-        {AGAIN: "look at feed and knife again, and go on with what they say", END: ENDS},
-    )
 
 
 def _clean_question(section: int) -> Question:

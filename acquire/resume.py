@@ -69,7 +69,7 @@ def resumable(stored: StoredRun) -> bool:
     """Tell whether there is something left to do: of a section whose successor is cut, nothing can be taken."""
     if stored.state is RunEnd.INTERRUPTED:
         return True
-    if stored_plan(stored).sections:
+    if stored_plan(stored).commits:
         return stored.committed < stored.layout.sections
     return bool(stored.missing)
 

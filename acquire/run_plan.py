@@ -28,6 +28,7 @@ class Kind(StrEnum):
     CUT = "cut"
     CLEAR = "clear"
     CLEAN = "clean"
+    TILT = "tilt"
     FOCUS = "focus"
     BAND = "band"
     EXPOSE = "expose"
@@ -155,7 +156,9 @@ class RunPlan:
     bands : tuple of BandPlan
         Empty: one, the camera as it is.
     sections, series : SectionPlan, SeriesPlan or None
-        What is repeated; not both.
+        What is repeated.
+    tilts_deg : tuple of float
+        Or the tilts of the specimen at which the stack is taken. Only one of the three.
     plane_by_plane : bool
         All bands of a plane before the next plane, instead of all planes of a band before the next band.
     """
@@ -165,16 +168,28 @@ class RunPlan:
     sections: SectionPlan | None = None
     series: SeriesPlan | None = None
     plane_by_plane: bool = False
+    tilts_deg: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.sections and self.series:
-            raise PlanError("a run takes sections or a series, not both.", fix="leave out [sections] or [series].")
+        if sum(map(bool, (self.sections, self.series, self.tilts_deg))) > 1:
+            raise PlanError("a run takes sections, a series or tilts.", fix="leave all out but one.")
 
     @property
     def times(self) -> int:
         """How many sections or points in time there are."""
         repeated = self.sections or self.series
-        return repeated.count if repeated else 1
+        return repeated.count if repeated else max(1, len(self.tilts_deg))
+
+    @property
+    def commits(self) -> bool:
+        """Whether what was taken of a section or tilt cannot be added to once the next has begun."""
+        return bool(self.sections or self.tilts_deg)
+
+    @property
+    def at_camera_rate(self) -> bool:
+        """Whether it is a single place, looked at as fast as the camera gives frames."""
+        series = self.series
+        return series is not None and not series.interval_ms and self.stack.count == 1 and not self.bands
 
     @property
     def band_count(self) -> int:
@@ -209,6 +224,8 @@ class RunPlan:
         """Return what is done for one section, in order."""
         if self.series and section and self.series.interval_ms:
             yield Step(Kind.WAIT, section)
+        if self.tilts_deg:
+            yield Step(Kind.TILT, section)
         if self.sections and self.sections.removes(section):
             yield from self._removal(section, self.sections)
         if self.sections and self.sections.focus_every and section % self.sections.focus_every == 0:
@@ -216,6 +233,7 @@ class RunPlan:
         yield from self._exposures(section)
         if self.sections:
             yield Step(Kind.INSPECT, section)
+        if self.commits:
             yield Step(Kind.COMMIT, section)
 
     def _removal(self, section: int, sections: SectionPlan) -> Iterator[Step]:
@@ -248,7 +266,7 @@ class RunPlan:
         """Return the plan as plain data; of a plain stack, that of the stack."""
         if self == RunPlan(self.stack):
             return self.stack.canonical()
-        return {**asdict(self), "stack": self.stack.canonical()}
+        return {**asdict(self), "stack": self.stack.canonical(), "tilts_deg": list(self.tilts_deg)}
 
     @property
     def plan_id(self) -> str:
@@ -271,6 +289,7 @@ def plan_from(canonical: dict[str, Any]) -> RunPlan:
         sections=SectionPlan(**canonical["sections"]) if canonical["sections"] else None,
         series=SeriesPlan(**canonical["series"]) if canonical["series"] else None,
         plane_by_plane=canonical["plane_by_plane"],
+        tilts_deg=tuple(canonical["tilts_deg"]),
     )
 
 

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from acquire.engine import FrameOut
     from acquire.plan import StackPlan
+    from acquire.ports import FrameOut
     from devices.protocols import Camera, Clock, Stage
     from devices.values import FrameStamp, StageSequence
 

@@ -13,19 +13,22 @@ from typing import TYPE_CHECKING, Any
 from acquire.autofocus import Focus, focus_of
 from acquire.engine import Policy, Run, RunState
 from acquire.estimate import Estimate, estimate
+from acquire.interlock import guarded
 from acquire.observe import Observer
 from acquire.ome_zarr import FocalArray
+from acquire.planning import pace_of, plan_run
 from acquire.quality import quality_of
-from acquire.recipe import pace_of, plan_run
-from acquire.recorder import Recorder, disk_full, ring_slots, size
+from acquire.recorder import Recorder, disk_errors, disk_full, ring_slots, size
+from acquire.report import write_report
 from acquire.resume import check_same_instrument, check_same_view, stored_plan, stored_recipe
 from acquire.ring import RingWriter, shared_memory_folder
 from acquire.ring_janitor import sweep_stale
 from acquire.sequence import check_triggered
 from acquire.standing import Standing, standing
 from acquire.state import Scope
-from acquire.store import RunStore, free_bytes
+from acquire.store import RunStore, free_bytes, open_run
 from acquire.verdict import no_inspection
+from acquire.watch import Notifier, RunLog, all_of
 from devices.bands import choose_bands, switch_band
 from devices.clock import SystemClock
 from devices.errors import InputError, PlanError, StereotomeError
@@ -151,10 +154,13 @@ class Options:
         says.
     attended : bool
         Somebody may answer questions; without, a question ends the run as HELD.
+    answers : tuple of str
+        Given beforehand to the questions to come.
     """
 
     inspect: Inspect | None = no_inspection
     attended: bool = True
+    answers: tuple[str, ...] = ()
 
 
 class Session:
@@ -185,14 +191,14 @@ class Session:
         stored: StoredRun | None = None,
     ) -> None:
         self.plan = plan
+        rig = guarded(rig, clock)
         triggered = recipe.stack.trigger == "hardware"
         if triggered:
             check_triggered(plan.stack, rig.stage, rig.camera)
-        self._tell = tell
         rig.camera.configure(exposure_ms=plan.exposure_ms(0))  # what it refuses is known before anything is written
         caps = rig.camera.caps()
         sweep_stale(shared_memory_folder())
-        with ExitStack() as undo:
+        with ExitStack() as undo, disk_errors():
             slots = ring_slots(caps.frame_bytes, free_bytes(shared_memory_folder()))
             ring = RingWriter.create("run", caps.shape, caps.dtype, slots, clock=SHARED_TIME)
             undo.callback(ring.close)
@@ -202,6 +208,8 @@ class Session:
             recorder = Recorder(store, ring, SHARED_TIME, keep_free_bytes=keep_free)
             undo.pop_all()
         self.folder = store.folder
+        self._log = RunLog(store.folder)
+        tell = self._tell = all_of(tell, self._log.hear, Notifier(recipe.watch.notify, recipe.name).hear)
         self.ring_path = ring.path
         self._observers = _start_observers(recipe, ring.path, store.folder)
         self.run = Run(
@@ -247,6 +255,10 @@ class Session:
         """Answer the question of a run on HOLD."""
         self.run.answer(choice)
 
+    def note(self, text: str) -> None:
+        """Put a note of the operator's into the journal."""
+        self.run.note(text)
+
     def execute(self) -> Outcome:
         """Take everything, wait for the observers, and return how it ended."""
         warnings = [
@@ -258,20 +270,32 @@ class Session:
         state = self.run.execute()
         warnings += [said for observer in self._observers if (said := observer.finish(OBSERVER_END_S))]
         status = self.run.status
+        self._tell({"event": "ended", "state": str(state), "durable": status.durable, "planned": status.planned})
+        warnings += self._write_report()
+        self._log.close()
         return Outcome(
             state, self.run.error, self.folder, status.durable, status.planned, tuple(warnings), self.run.held
         )
+
+    def _write_report(self) -> list[str]:
+        """Tell the story of the run; return what kept it from being told."""
+        try:
+            write_report(open_run(self.folder))
+        except (OSError, StereotomeError) as error:
+            return [f"no report was written: {error}"]
+        return []
 
 
 def _policy(recipe: Recipe, options: Options, *, triggered: bool) -> Policy:
     sections = recipe.sections
     if sections is None:
         gap = recipe.stack.on_plane_error == "gap"
-        return Policy(gap_on_error=gap, triggered=triggered, attended=options.attended)
+        return Policy(gap_on_error=gap, triggered=triggered, attended=options.attended, answers=options.answers)
     return Policy(
         gap_on_error=sections.on_error == "continue",
         asks=sections.on_error != "park-and-stop",
         attended=options.attended,
+        answers=options.answers,
         accepts=sections.accepts,
     )
 
@@ -291,7 +315,8 @@ def new_session(
     options: Options = Options(),
 ) -> Session:
     """Make ready a run in a folder of its own; raises if the disk cannot hold it."""
-    plan = plan_run(recipe, rig.spec)
+    here_um = rig.stage.position_um() if recipe.stack.starts_here else 0.0
+    plan = plan_run(recipe, rig.spec, here_um)
 
     def make_store(caps: CameraCaps) -> RunStore:
         check_disk(folder, cost_of(plan, rig.spec, caps), recipe.output.keep_free_gb)
@@ -322,7 +347,7 @@ def resumed_session(
     rest = replace(cost_of(plan, rig.spec, caps), bytes_on_disk=len(stored.missing) * caps.frame_bytes)
     check_disk(stored.folder, rest, recipe.output.keep_free_gb)
     plan.check(rig.stage.limits)
-    check_same_view(stored, rig, clock)
+    check_same_view(stored, guarded(rig, clock), clock)
 
     def make_store(_: CameraCaps) -> RunStore:
         return RunStore.reopen(stored.folder, clock)

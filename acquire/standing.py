@@ -31,13 +31,20 @@ class Act(StrEnum):
     DONE = "done"
 
 
+CUT_ANSWERS = {
+    AGAIN: "look at the knife again, after you have seen to it",
+    DONE: "the section is cut: the face is a fresh one",
+    NOT_DONE: "it is not cut: the face is the one imaged last; cut it now",
+    END: ENDS,
+}
 SAYS: dict[str, dict[str, Any]] = {
     "feed_intent": {"feed": Act.BEGUN},
     "feed_done": {"feed": Act.DONE},
     "feed_not_done": {"feed": Act.PENDING},
-    "cut_done": {"cut": Act.DONE},
+    "cut_done": {"cut": Act.DONE, "doubtful": False},
     "clean_done": {"cut": Act.DONE},
-    "cut_not_done": {"cut": Act.PENDING},
+    "cut_doubtful": {"doubtful": True},
+    "cut_not_done": {"cut": Act.PENDING, "doubtful": False},
     "clear": {"cleared": True},
     "sweep_intent": {"cleared": False},
     "answer": {"unanswered": None},
@@ -72,6 +79,8 @@ class Standing:
         Its removal is over: knife out, face free.
     cuts_before : int
         What the knife counted before the cut.
+    doubtful : bool
+        The knife moved, and it failed: that it counted no cut does not mean that it made none.
     origin_nm : float or None
         Where the feed stood when the run began.
     unanswered : Question or None
@@ -83,6 +92,7 @@ class Standing:
     cut: Act = Act.PENDING
     cleared: bool = False
     cuts_before: int = 0
+    doubtful: bool = False
     origin_nm: float | None = None
     unanswered: Question | None = None
 
@@ -158,8 +168,10 @@ def check_place(here_nm: float, expected_nm: float) -> None:
         )
 
 
-def judge_cut(knife: KnifeState, counted: int, before: int) -> Act:
+def judge_cut(knife: KnifeState, counted: int, before: int, *, doubtful: bool = False) -> Act:
     """Tell from the knife, at rest, whether the cut that was begun was executed.
+
+    With ``doubtful`` the stroke is known to have failed on its way; then only a counted cut decides.
 
     Raises
     ------
@@ -168,18 +180,13 @@ def judge_cut(knife: KnifeState, counted: int, before: int) -> Act:
     """
     if knife is not KnifeState.JAMMED and counted == before + 1:
         return Act.DONE
-    if knife is KnifeState.CLEAR and counted == before:
+    if knife is KnifeState.CLEAR and counted == before and not doubtful:
         return Act.PENDING
     raise Doubt(
         Question(
             "cut-ambiguous",
             f"A cut was begun and nobody knows whether it was made: the knife is {knife} and counted {counted} cuts, "
             f"{before} before. Compare the live image with the last section.",
-            {
-                AGAIN: "look at the knife again, after you have seen to it",
-                DONE: "the section is cut: the face is a fresh one",
-                NOT_DONE: "it is not cut: the face is the one imaged last; cut it now",
-                END: ENDS,
-            },
+            CUT_ANSWERS,
         )
     )

@@ -13,6 +13,7 @@ import shutil
 import zlib
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
+from datetime import UTC, datetime
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 FORMAT = "stereotome-run"
 FORMAT_VERSION = 1
+LAST_WORDS, LAST_WORDS_BYTES = "room-for-last-words", 32_768
 INLINE_PLANES = 2000  # above this the table of planes lives in planes.csv and the journal alone
 
 
@@ -59,6 +61,19 @@ class PlaneRecord:
     def plane(self) -> int:
         """Index of the plane in its stack."""
         return self.header.plane
+
+
+def _keep_room(folder: Path) -> None:
+    """Take up room that a full disk gives back for the last record and the report: they matter most then."""
+    (folder / LAST_WORDS).write_bytes(bytes(LAST_WORDS_BYTES))
+
+
+def _give_room(folder: Path) -> None:
+    (folder / LAST_WORDS).unlink(missing_ok=True)
+
+
+def _utc_now() -> str:
+    return datetime.now(UTC).isoformat()
 
 
 def checksum(pixels: np.ndarray) -> int:
@@ -132,7 +147,9 @@ class RunStore:
         _make_skeleton(folder, manifest, layout, name)
         journal = diary.Journal(folder / "journal.jsonl", clock)
         sync_folder(folder)
-        journal.append({"e": "run_created", "plan_id": manifest["plan_id"], "planned": layout.planned})
+        _keep_room(folder)
+        created = {"e": "run_created", "plan_id": manifest["plan_id"], "planned": layout.planned}
+        journal.append({**created, "utc": _utc_now()})
         return cls(folder, name, layout, journal)
 
     @classmethod
@@ -146,7 +163,9 @@ class RunStore:
         """
         journal = diary.Journal(folder / "journal.jsonl", clock)  # holds the lock before anything is read
         stored = StoredRun(folder)
-        journal.append({"e": "resumed", "durable": len(stored.planes)})
+        with suppress(OSError):
+            _keep_room(folder)
+        journal.append({"e": "resumed", "durable": len(stored.planes), "utc": _utc_now()})
         store = cls(folder, str(stored.manifest.get("name", folder.name)), stored.layout, journal)
         store._records = dict(stored.planes)
         store._committed = stored.committed
@@ -199,7 +218,8 @@ class RunStore:
 
     def reject(self, slots: Collection[int], reason: str) -> None:
         """Take durable planes back before they are taken again: from now on they are missing."""
-        self.journal.append({"e": "reject", "slots": sorted(slots), "reason": reason})
+        section = self._layout.place(min(slots))[0] if slots else 0
+        self.journal.append({"e": "reject", "section": section, "slots": sorted(slots), "reason": reason})
         for slot in slots:
             self._records.pop(slot, None)
 
@@ -243,6 +263,7 @@ class RunStore:
         A run that is said to be COMPLETED while planes are missing is recorded as COMPLETED_WITH_GAPS.
         """
         self.commit()
+        _give_room(self.folder)
         if self._records:
             self._publish(all_of_it=True)
         missing = self._missing()
@@ -258,6 +279,7 @@ class RunStore:
         """End a run whose disk failed: nothing pending is trusted, and the END record is written if it can be."""
         self._pending.clear()
         with suppress(OSError):
+            _give_room(self.folder)
             missing = self._missing()
             self.journal.append({"e": "end", "state": str(RunEnd.FAILED), "missing": missing, "reason": reason})
 

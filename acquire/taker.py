@@ -128,7 +128,7 @@ class PlaneTaker:
         """
         for attempt in range(CAMERA_TRIES):
             self._check()
-            z_um = self._go_to(place.plane)
+            z_um = self.go_to(place.plane)
             if self._expose(place, z_um, attempt):
                 return z_um
             self._control.checkpoint()
@@ -139,7 +139,7 @@ class PlaneTaker:
             fix="check the camera's cable, then: stereotome doctor",
         )
 
-    def _go_to(self, plane: Plane) -> float:
+    def go_to(self, plane: Plane) -> float:
         """Bring the stage to a plane from its approach side and return where it came to rest, in µm."""
         for _ in range(STAGE_TRIES):
             z_um = self._approach(plane)

@@ -35,6 +35,10 @@ limits = {{ min_um = -100.0, max_um = 100.0 }}
 """
 
 
+def pytest_addoption(parser):
+    parser.addoption("--long", action="store_true", help="try thousands of kills instead of hundreds")
+
+
 @pytest.fixture
 def start_bench(sim_bench):
     """Start simulated benches; each ends with the test."""

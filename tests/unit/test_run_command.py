@@ -13,8 +13,8 @@ import pytest
 import zarr
 from wires import PROGRAM, stereotome
 
-from acquire.cli import ranges
 from acquire.store import RunEnd, open_run
+from acquire.words import ranges
 
 SMALL_BENCH = """
 schema = 1

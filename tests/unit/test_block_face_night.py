@@ -1,0 +1,140 @@
+"""A night at the microtome through the real command: debris, a jam and a full disk, and what the morning finds.
+
+With ``--long`` it is 50 sections, else a few.
+"""
+
+import json
+import os
+import pty
+import shlex
+import subprocess
+
+import pytest
+from sections import BENCH, RECIPE, cuts, files, ready_rig
+from wires import PROGRAM, stereotome
+
+from acquire.store import RunEnd, open_run
+
+BLOCK = BENCH.replace("[48, 40]", "[160, 128]") + '\n[sim]\nspecimen = "block"\nseed = 11\n'
+STACK = "top_um = 0.0\nbottom_um = 0.0\nplanes = 1"
+RESERVE = 1_000_000
+
+
+@pytest.fixture
+def sections(pytestconfig):
+    return 50 if pytestconfig.getoption("long") else 9
+
+
+def homed(start_bench, instrument, *faults):
+    bench = start_bench(instrument, faults=list(faults))
+    with ready_rig(bench):
+        pass
+    return bench
+
+
+def night(where, instrument, recipe):
+    """The night as a shell script on a disk of its own; `go` lets it go on, the fifo fills the disk."""
+    run = shlex.join([*PROGRAM, "run"])
+    phase = """echo '{"event": "phase", "code": '$?'}'; read go"""
+    return f"""
+    mount -t tmpfs -o size=64m none {where} || exit 99
+    (read go < {where}.fill; free=$(df -B1 --output=avail {where} | tail -1)
+     head -c $((free - {RESERVE + 60_000})) /dev/zero > {where}/ballast) &
+    {run} {recipe} -i {instrument} --out {where}/run --json --on-hold end </dev/null; {phase}
+    {run} --resume {where}/run -i {instrument} --json --answer not-done </dev/null; {phase}
+    rm {where}/ballast
+    {run} --resume {where}/run -i {instrument} --json --on-hold end </dev/null; {phase}
+    cp -r {where}/run {where}-morning
+    """
+
+
+def test_a_night_with_debris_a_jam_and_a_full_disk_is_complete_in_the_morning(start_bench, tmp_path, sections):
+    stack = RECIPE.replace("top_um = 2.0\nbottom_um = -2.0\nstep = 4.0", STACK)
+    instrument, recipe = files(tmp_path, BLOCK, stack.replace("count = 3", f"count = {sections}"))
+    bench = homed(start_bench, instrument, f"block.debris@{sections // 3}")
+    where, fill, codes = tmp_path / "disk", tmp_path / "disk.fill", []
+    where.mkdir()
+    os.mkfifo(fill)
+    shell = subprocess.Popen(
+        ["unshare", "-rm", "sh", "-c", night(where, bench.instrument, recipe)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    for line in shell.stdout:
+        event = json.loads(line)
+        if event["event"] == "section" and event["section"] == sections // 2:
+            bench.ask(do="fault", set="feed.jam")
+        if event["event"] == "section" and event["section"] == sections // 2 + 1:
+            fill.write_text("now\n")
+        if event["event"] == "phase":
+            codes.append(event["code"])
+            if len(codes) == 1:
+                bench.ask(do="fault", clear="feed.jam")
+            shell.stdin.write("go\n")
+            shell.stdin.flush()
+    shell.stdin.close()
+    shell.stdout.close()
+    assert shell.wait() == 0
+    assert codes == [11, 6, 0]
+    run = open_run(tmp_path / "disk-morning")
+    assert (run.state, run.missing) == (RunEnd.COMPLETED, [])
+    assert cuts(bench) == sections + 1  # one of them wiped the debris away
+    removed = bench.ask(do="truth")["counters"]["feed"]["removed_um"]
+    assert sorted(round(1000 * um) for um in removed[1:]) == [0, *[500] * (sections - 1)]
+    text = (run.folder / "report.md").read_text()
+    for told in (
+        "COMPLETED",
+        "debris",
+        "wipes the face",
+        "HOLD [knife-failed]",
+        "answered: not-done",
+        "HOLD [disk-full]",
+    ):
+        assert told in text, told
+    assert text.count("the run went on") == 2
+
+
+def test_a_question_is_asked_and_answered_at_the_terminal(start_bench, tmp_path):
+    instrument, recipe = files(tmp_path)
+    bench = homed(start_bench, instrument, "feed.jam")
+    master, slave = pty.openpty()
+    command = [*PROGRAM, "run", recipe, "-i", bench.instrument, "--out", tmp_path / "run", "--yes", "--json"]
+    process = subprocess.Popen(
+        list(map(str, command)), stdin=slave, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    os.close(slave)
+    for line in process.stdout:
+        event = json.loads(line)
+        if event["event"] == "hold":
+            bench.ask(do="fault", clear="feed.jam")
+            os.write(master, b"perhaps\nnot-done\n")
+    words = process.stderr.read()
+    process.stderr.close()
+    process.stdout.close()
+    assert process.wait() == 0, words
+    os.close(master)
+    assert "HOLD [knife-failed]" in words
+    assert "not-done" in words
+    assert "error[no-answer]" in words
+    assert open_run(tmp_path / "run").state is RunEnd.COMPLETED
+    assert cuts(bench) == 3
+
+
+def test_two_engines_do_not_share_an_instrument(start_bench, tmp_path):
+    instrument, recipe = files(tmp_path)
+    bench = homed(start_bench, instrument)
+    with ready_rig(bench):
+        result = stereotome("run", recipe, "-i", bench.instrument, "--out", tmp_path / "run")
+    assert result.code == 8, result.err
+    assert "error[device-busy]" in result.err
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_disk_that_cannot_be_written_is_one_clear_line(start_bench, tmp_path):
+    instrument, recipe = files(tmp_path)
+    bench = homed(start_bench, instrument)
+    result = stereotome("run", recipe, "-i", bench.instrument, "--out", "/proc/run", "--set", "output.keep_free_gb=0")
+    assert result.code == 6, result.err
+    assert result.err.count("error[") == 1
+    assert "Traceback" not in result.err
