@@ -55,7 +55,7 @@ def test_rows_sum_to_one_and_white_stays_white(kind: str) -> None:
     assert compose(BLACK, BLACK, mode).max() == 0
 
 
-@pytest.mark.parametrize("kind", set(MATRICES) - {"red-green", "red-blue", "optimised"})
+@pytest.mark.parametrize("kind", sorted(set(MATRICES) - {"red-green", "red-blue", "optimised"}))
 def test_equal_grey_views_give_a_grey_anaglyph(kind: str) -> None:
     levels = np.arange(256, dtype=np.uint8)[np.newaxis]
     picture = compose(levels, levels, f"anaglyph-{kind}")  # type: ignore[arg-type]
