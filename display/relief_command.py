@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path  # noqa: TC003  the command line is made from the annotations
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -24,9 +24,8 @@ from display.relief_plots import (
     profile_picture,
     stacked_picture,
 )
-from display.render import check_output, parse_size, parse_view, picture
+from display.render import Moving, Seeing, check_output, numbers, parse_size, stereo_of, view_of, write
 from display.scene import Layer, Light, Scene
-from display.stereo import Mode, Stereo, Views, vergence_deg
 from processing.heights import read_heights
 from processing.outputs import write_durably
 from processing.pictures import png_bytes
@@ -41,6 +40,7 @@ Switch = Parameter(negative="")
 Kind = Literal["relief", "isometric", "grid", "contour", "profile", "stacked"]
 WANTED_SHARE = 0.15  # of the width, for the heights when nobody says how far to stretch them
 NICE = (1.0, 2.0, 5.0)
+OBLIQUE = "25,-50"
 
 
 @Parameter(name="*")
@@ -63,8 +63,6 @@ class OnPaper:
 class OnSurface:
     """For surfaces."""
 
-    view: str = "25,-50"
-    "Azimuth, elevation and roll in degrees; 0,0,0 looks straight down."
     exaggeration: float | None = None
     "How far heights are stretched; so that they are well seen if left out. Stated on the picture."
     shading: Shading = "phong"
@@ -81,14 +79,6 @@ class OnSurface:
     "Direction the light comes from: to the right and above, degrees."
     answer: str = "0.15,0.75,0.25,20"
     "Ambient, diffuse and specular shares, and the exponent of the mirrored lobe: large is narrow."
-    stereo: Mode = "mono"
-    "How two views are shown."
-    eyes: Views = "shift"
-    "Eyes are shifted, or the specimen turns."
-    vergence: float = vergence_deg(75.0, 1000.0)
-    "Angle between the views in degrees."
-    depth: float = 1.0
-    "Stretches depth as the eyes see it."
 
 
 def relief(
@@ -102,6 +92,8 @@ def relief(
     unit: str | None = None,
     paper: OnPaper = OnPaper(),
     surface: OnSurface = OnSurface(),
+    seeing: Seeing = Seeing(),  # noqa: B008  frozen
+    moving: Moving = Moving(),  # noqa: B008
     plain: Annotated[bool, Switch] = False,
     overwrite: Annotated[bool, Switch] = False,
 ) -> int:
@@ -117,9 +109,9 @@ def relief(
     mode
         relief: lit; isometric: colours alone; grid: lines; contour: a map; profile: along lines; stacked: row by row.
     output
-        PNG to write.
+        PNG to write; of surfaces also MP4 or GIF.
     size
-        Width and height of a surface's picture in pixels.
+        Width and height of one view of a surface in pixels.
     pixel
         Size of a pixel; goes before what the file says.
     unit
@@ -129,24 +121,28 @@ def relief(
     overwrite
         Replace a file that is there.
     """
-    if output.suffix.lower() != ".png":
-        raise InputError(f"{output} is of no kind that can be written.", fix="name a PNG file.", code="output-kind")
     check_output(output, overwrite=overwrite)
+    on_paper = mode in {"contour", "profile", "stacked"}
+    if on_paper and output.suffix.lower() != ".png":
+        raise InputError(f"{output}: {mode} is no movie.", fix="name a PNG file.", code="output-kind")
+    pixels, stereo, view = parse_size(size), stereo_of(seeing), replace(seeing, view=seeing.view or OBLIQUE)
     heights = read_heights(data, pixel=pixel, unit=unit)
-    if mode in {"contour", "profile", "stacked"}:
-        drawn, table = on_paper(heights, mode, paper, surface.colours or "viridis")
+    if on_paper:
+        drawn, table = paper_of(heights, mode, paper, surface.colours or "viridis")
+        write_durably(output, png_bytes(drawn))
+        if table is not None:
+            write_durably(output.with_suffix(".csv"), table)
+            sys.stdout.write(f"{output.with_suffix('.csv')}\n")
     else:
-        drawn, table = on_surface(heights, mode, parse_size(size), paper, surface, plain=plain), None
-    write_durably(output, png_bytes(drawn))
+        scene = Scene((surface_of(heights, mode, paper, surface),), view_of(view), stereo)
+        with Renderer() as renderer:
+            write(renderer, scene, pixels, output, moving, plain=plain)
     sys.stdout.write(f"{output}\n")
-    if table is not None:
-        write_durably(output.with_suffix(".csv"), table)
-        sys.stdout.write(f"{output.with_suffix('.csv')}\n")
-    sys.stderr.writelines(f"note: {note}\n" for note in heights.notes)
+    sys.stderr.writelines(f"note: {note}\n" for note in (*heights.notes, *stereo.warnings))
     return 0
 
 
-def on_paper(heights: Heights, mode: Kind, paper: OnPaper, colours: str) -> tuple[NDArray[np.uint8], bytes | None]:
+def paper_of(heights: Heights, mode: Kind, paper: OnPaper, colours: str) -> tuple[NDArray[np.uint8], bytes | None]:
     """Draw a map or profiles; return the picture and the numbers behind it."""
     if mode == "stacked":
         return stacked_picture(heights, max(paper.rows, 2)), None
@@ -160,18 +156,16 @@ def on_paper(heights: Heights, mode: Kind, paper: OnPaper, colours: str) -> tupl
     height, width = heights.values.shape
     right, below = (width - 1) * across, (height - 1) * down
     usual = ((0.0, below / 2, right, below / 2), (right / 2, 0.0, right / 2, below))
-    lines = [numbers(text, "--line", 4) for text in paper.line] or usual
+    lines = [numbers(text, "--line", count=4) for text in paper.line] or usual
     profiles = [profile(heights, ((x0, y0), (x1, y1))) for x0, y0, x1, y1 in lines]
     points = ((k, *pair) for k, p in enumerate(profiles, 1) for pair in zip(p.distance, p.height, strict=True))
     return profile_picture(heights, profiles, colours), csv_bytes(("line", "distance", "height"), points)
 
 
-def on_surface(
-    heights: Heights, mode: Kind, size: tuple[int, int], paper: OnPaper, surface: OnSurface, *, plain: bool
-) -> NDArray[np.uint8]:
-    """Draw a surface."""
-    aside, above = numbers(surface.light, "--light", 2)
-    ambient, diffuse, specular, shininess = numbers(surface.answer, "--answer", 4)
+def surface_of(heights: Heights, mode: Kind, paper: OnPaper, surface: OnSurface) -> Layer:
+    """Return a surface as the command line wants it."""
+    aside, above = numbers(surface.light, "--light", count=2)
+    ambient, diffuse, specular, shininess = numbers(surface.answer, "--answer", count=4)
     image = None if surface.drape is None else read_drape(surface.drape)
     usual: Paint = "image" if image is not None else "cycles" if surface.colours == "hsv" else "plain"
     look = ReliefLook(
@@ -185,10 +179,7 @@ def on_surface(
     if look.paint == "image" and image is None:
         raise InputError("--paint image wants an image.", fix="--drape extended_focus.png", code="usage")
     shown = Relief(heights, surface.exaggeration or usual_exaggeration(heights), image)
-    stereo = Stereo(surface.stereo, surface.eyes, surface.vergence, surface.depth)
-    scene = Scene((Layer(shown, mode, look),), parse_view(surface.view), stereo)
-    with Renderer() as renderer:
-        return picture(renderer, scene, size, plain=plain)
+    return Layer(shown, mode, look)
 
 
 def usual_exaggeration(heights: Heights) -> float:
@@ -209,14 +200,3 @@ def read_drape(path: Path) -> NDArray[np.uint8]:
         raise InputError(f"{path}: no image that can be read.", fix="give a PNG or TIFF.", code="input-missing")
     levels8 = preview(found)
     return np.ascontiguousarray(cv2.cvtColor(levels8, cv2.COLOR_GRAY2RGB) if levels8.ndim == 2 else levels8[..., 2::-1])
-
-
-def numbers(text: str, option: str, count: int) -> list[float]:
-    """Return the numbers of an option, separated by commas."""
-    try:
-        found = [float(part) for part in text.split(",")]
-    except ValueError:
-        found = []
-    if len(found) != count or not np.isfinite(found).all():
-        raise InputError(f"{option} {text} are not {count} numbers.", fix="separated by commas", code="usage")
-    return found

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from devices.cli import run
 from devices.errors import InputError
 from display.gl.renderer import Renderer
 from display.light import linear_of
@@ -257,3 +259,33 @@ def test_maps_are_drawn_with_holes_and_without_labels_where_there_is_no_room():
     for edges in ("interpolated", "pixels"):
         assert contour_map(Heights(values), 0.5, edges=edges).shape[2] == 3
     assert stacked_picture(Heights(values), 200).std() > 0
+
+
+def test_the_command_draws_every_kind_in_stereo_and_tables_beside_maps(tmp_path, capsys):
+    path = tmp_path / "h.npy"
+    y, x = np.mgrid[:30, :40]
+    np.save(path, np.hypot(x - 20, y - 15))
+    for mode in ("relief", "contour", "profile"):
+        out = tmp_path / f"{mode}.png"
+        code = run(
+            [
+                "relief",
+                str(path),
+                "--pixel",
+                "2",
+                "--mode",
+                mode,
+                "-o",
+                str(out),
+                "--size",
+                "90x60",
+                "--stereo",
+                "parallel",
+            ]
+        )
+        assert code == 0
+        assert out.with_suffix(".csv").exists() == (mode != "relief")
+    assert cv2.imread(str(tmp_path / "relief.png")).shape == (60, 180, 3)
+    assert run(["relief", str(path), "--mode", "contour", "-o", str(tmp_path / "x.gif")]) == 2
+    assert run(["relief", str(path), "--paint", "image", "-o", str(tmp_path / "y.png")]) == 2
+    assert "--paint image wants an image" in capsys.readouterr().err
