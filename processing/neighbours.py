@@ -114,4 +114,5 @@ def _ratios(spacing_um: Spacing) -> NDArray[np.float64]:
             fix="give (z, y, x), each above zero.",
             code="spacing",
         )
-    return spacing / np.sqrt(spacing[1] * spacing[2])
+    ratios: NDArray[np.float64] = spacing / np.sqrt(spacing[1] * spacing[2])
+    return ratios

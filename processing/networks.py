@@ -25,9 +25,8 @@ def sorting_pairs(count: int) -> list[Pair]:
         step = width
         while step:
             for start in range(step % width, size - step, 2 * step):
-                for i in range(start, min(start + step, size - step)):
-                    if i // (2 * width) == (i + step) // (2 * width):
-                        pairs.append((i, i + step))
+                lows = range(start, min(start + step, size - step))
+                pairs += [(i, i + step) for i in lows if i // (2 * width) == (i + step) // (2 * width)]
             step //= 2
         width *= 2
     return [pair for pair in pairs if pair[1] < count]
@@ -40,7 +39,7 @@ def selecting_pairs(count: int, rank: int) -> NDArray[np.int64]:
     Returns
     -------
     array (n, 2) int64
-        Each row (low, high): the smaller of the two goes to ``low``. For 27 numbers and the median 144 rows.
+        Each row (low, high): the smaller of the two goes to ``low``. For 27 numbers and the median 126 rows.
     """
     needed, kept = {rank}, []
     for pair in reversed(sorting_pairs(count)):

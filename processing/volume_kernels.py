@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 @compiled
 def row_at(volume: Array, z: int, y: int) -> Array:
     """Return a row of the volume; outside, the nearest one."""
-    return volume[min(max(z, 0), volume.shape[0] - 1), min(max(y, 0), volume.shape[1] - 1)]
+    row: Array = volume[min(max(z, 0), volume.shape[0] - 1), min(max(y, 0), volume.shape[1] - 1)]
+    return row
 
 
 @compiled
@@ -44,8 +45,8 @@ def exchange(low: Array, high: Array) -> None:
     """Bring the smaller of each two numbers into ``low``, the larger into ``high``."""
     for x in range(low.size):
         a, b = low[x], high[x]
-        low[x] = a if a < b else b
-        high[x] = b if a < b else a
+        low[x] = min(b, a)
+        high[x] = max(a, b)
 
 
 @compiled
