@@ -108,13 +108,17 @@ def steps_of(operation: str, then: tuple[str, ...]) -> Pipeline:
     try:
         tables = tomllib.loads(Path(operation).read_text(encoding="utf-8")).get("step", [])
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{operation} cannot be read: {error}.", fix="check the file.", code="operator-params") from None
+        raise InputError(
+            f"{operation} cannot be read: {error}.", fix="check the file.", code="operator-params"
+        ) from None
     return _checked(Pipeline((*Pipeline.from_tables(tables).steps, *further)))
 
 
 def _checked(pipeline: Pipeline) -> Pipeline:
     if not pipeline.steps:
-        raise InputError("there is no step.", fix='write [[step]] with operator = "family.name"', code="operator-params")
+        raise InputError(
+            "there is no step.", fix='write [[step]] with operator = "family.name"', code="operator-params"
+        )
     pipeline.check(["volume", "spacing_um"])
     return pipeline
 

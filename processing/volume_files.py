@@ -72,7 +72,7 @@ def write_volume(folder: Path, name: str, title: str, layout: FocalArray, planes
     layout : FocalArray
         Number, shape, type and spacing of the planes.
     planes : iterable of arrays
-        uint8 or uint16.
+        uint8, uint16 or float32.
     """
     zarr_name, tiff_name = volume_names(name)
     (folder / zarr_name / "0").mkdir(parents=True)
@@ -92,7 +92,7 @@ def write_volume(folder: Path, name: str, title: str, layout: FocalArray, planes
             dtype=layout.dtype,
             photometric="rgb" if layout.bands == 3 else "minisblack",
             compression="zlib",
-            predictor=True,
+            predictor=np.dtype(layout.dtype).kind != "f",  # floats would need another library
             metadata=_ome(title, layout),
         )
 

@@ -115,7 +115,19 @@ def rank(
 def median(volume: Array, spacing_um: Spacing | None = None, *, rule: int = 26, radius: float = 0.0) -> Array:
     """Median of the neighbours: single wrong voxels go, steps stay.
 
-    Parameters, results and errors as of `rank`.
+    Parameters
+    ----------
+    volume : array (z, y, x)
+        Grey values.
+    spacing_um : tuple of float, optional
+        Distance of voxels along (z, y, x).
+    rule, radius : int, float
+        Which neighbours, as of `rank`.
+
+    Returns
+    -------
+    array (z, y, x)
+        Of the volume's type; errors as of `rank`.
     """
     return rank(volume, spacing_um, percent=50.0, rule=rule, radius=radius)
 
@@ -124,7 +136,14 @@ def median(volume: Array, spacing_um: Spacing | None = None, *, rule: int = 26, 
 def variance(volume: Array, spacing_um: Spacing | None = None, *, rule: int = 26, radius: float = 0.0) -> Array:
     """Variance of the neighbours in grey levels²: dense in texture and at edges, empty where it is even.
 
-    Parameters and errors as of `rank`.
+    Parameters
+    ----------
+    volume : array (z, y, x)
+        Grey values.
+    spacing_um : tuple of float, optional
+        Distance of voxels along (z, y, x).
+    rule, radius : int, float
+        Which neighbours, as of `rank`.
 
     Returns
     -------
@@ -145,7 +164,15 @@ def entropy(volume: Array, spacing_um: Spacing | None = None, *, rule: int = 26,
     """Entropy of the neighbours in bits: how many grey levels share them, and how evenly.
 
     The volume's range is divided into 64 levels first, so that noise of less than a level counts for nothing.
-    Parameters and errors as of `rank`.
+
+    Parameters
+    ----------
+    volume : array (z, y, x)
+        Grey values.
+    spacing_um : tuple of float, optional
+        Distance of voxels along (z, y, x).
+    rule, radius : int, float
+        Which neighbours, as of `rank`.
 
     Returns
     -------
@@ -166,6 +193,13 @@ def entropy(volume: Array, spacing_um: Spacing | None = None, *, rule: int = 26,
 def sobel(volume: Array, spacing_um: Spacing | None = None) -> Array:
     """Length of the gradient, in grey levels per µm (per voxel without a spacing).
 
+    Parameters
+    ----------
+    volume : array (z, y, x)
+        Grey values.
+    spacing_um : tuple of float, optional
+        Distance of voxels along (z, y, x).
+
     Returns
     -------
     array (z, y, x) float32
@@ -182,6 +216,13 @@ def sobel(volume: Array, spacing_um: Spacing | None = None) -> Array:
                                     Layer("elevation", "volume", "float32")], halo=reach)  # fmt: skip
 def gradient(volume: Array, spacing_um: Spacing | None = None) -> tuple[Array, Array, Array]:
     """Length of the gradient and its direction as two angles.
+
+    Parameters
+    ----------
+    volume : array (z, y, x)
+        Grey values.
+    spacing_um : tuple of float, optional
+        Distance of voxels along (z, y, x).
 
     Returns
     -------
@@ -215,6 +256,13 @@ def frei_chen(volume: Array, spacing_um: Spacing | None = None) -> tuple[Array, 
     (1, −2, 1)/√6 along the axes (Frei and Chen 1977, in three dimensions). Its 13 members that are odd under
     reflection at the middle are edges, the 13 even ones besides the mean are lines; together they are the odd and the
     even part of the voxels, which is how they are computed.
+
+    Parameters
+    ----------
+    volume : array (z, y, x)
+        Grey values.
+    spacing_um : tuple of float, optional
+        Distance of voxels along (z, y, x).
 
     Returns
     -------

@@ -73,7 +73,17 @@ def blurred_volume() -> Layers:
 
 DEBLUR = {"noise": 1.0, "background": 20.0}
 
+
+def noisy_volume() -> Layers:
+    """A volume that is nowhere even, its voxels twice as deep as wide, and a piece of it to be looked for."""
+    grey = np.random.default_rng(8).integers(0, 256, (9, 10, 12)).astype(np.uint8)
+    return {"volume": grey, "spacing_um": (1.0, 0.5, 0.5), "pattern": grey[2:5, 3:6, 4:7].copy()}
+
+
+FILTERS = ("entropy", "frei_chen", "gradient", "median", "rank", "sobel", "template", "variance")
+
 SAMPLES: dict[str, Sample] = {
+    **{f"filter.{name}": lambda: (noisy_volume(), {}) for name in FILTERS},
     "deblur.psf": lambda: (
         {"spacing_um": (0.3, 0.1, 0.1)},
         {"na": 0.9, "wavelength_um": 0.5, "planes": 5, "side_px": 9},

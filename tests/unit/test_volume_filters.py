@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from itertools import product
 
 import numpy as np
 import pytest
+import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
@@ -17,11 +19,12 @@ from processing.networks import selecting_pairs, sorting_pairs
 
 RNG = np.random.default_rng(41)
 CUT = (7, 9, 11)
+NOISE = RNG.random(CUT)
 
 
 def noise(dtype: str) -> np.ndarray:
     top = {"uint8": 256, "uint16": 65536, "float32": 1}[dtype]
-    return (RNG.random(CUT) * top).astype(dtype)
+    return (NOISE * top).astype(dtype)
 
 
 def footprint(near) -> np.ndarray:
@@ -185,3 +188,39 @@ def test_one_plane_and_one_voxel_are_volumes_too() -> None:
         assert not filters.sobel(grey).any()
         assert not filters.variance(grey).any()
         assert not filters.entropy(grey).any()
+
+
+def test_the_command_filters_a_stack_and_says_how(tmp_path, capsys) -> None:
+    from devices.cli import run
+
+    np.save(tmp_path / "grey.npy", noise("uint8"))
+    arguments = [
+        str(tmp_path / "grey.npy"),
+        "-o",
+        str(tmp_path / "out"),
+        "--step-um",
+        "2",
+        "--pixel-um",
+        "0.5",
+        "--json",
+    ]
+    assert run(["process", "volume", "filter.median:rule=6", *arguments, "--then", "filter.sobel"]) == 0
+    said = capsys.readouterr()
+    report = json.loads(said.out)
+    assert [step["operator"] for step in report["steps"]] == ["filter.median", "filter.sobel"]
+    assert report["spacing_um"] == [2, 0.5, 0.5]
+    assert "plane by plane" in said.err
+    made = tifffile.imread(tmp_path / "out" / "volume.ome.tif")
+    np.testing.assert_array_equal(
+        made, filters.sobel(filters.median(noise("uint8"), (2, 0.5, 0.5), rule=6), (2, 0.5, 0.5))
+    )
+
+
+@pytest.mark.parametrize("wrong", ["filter.medain", "filter.median:rule=7", "filter.median:rule", "absent.toml"])
+def test_a_wrong_step_is_one_clear_line_and_leaves_nothing(wrong: str, tmp_path, capsys) -> None:
+    from devices.cli import run
+
+    np.save(tmp_path / "grey.npy", np.zeros(CUT, np.uint8))
+    assert run(["process", "volume", wrong, str(tmp_path / "grey.npy"), "-o", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err.count("error[") == 1
+    assert not (tmp_path / "out").exists()
