@@ -9,6 +9,7 @@ from acquire.between import Between
 from acquire.control import Cancelled, Control, Held
 from acquire.focusing import Focusing
 from acquire.frame import Missed
+from acquire.halting import Halting
 from acquire.inspection import Hands, Inspection
 from acquire.plan import Plane
 from acquire.ports import CAREFUL, FrameOut, Policy, SectionOut
@@ -116,6 +117,7 @@ class Run:
         self._control = Control(
             self._board, clock, note=self._note, tell=self._say, attended=policy.attended, answers=policy.answers
         )
+        self._halting = Halting(stage, feed)
         self._mover = Mover(stage, self._control, self._board)
         self._taker = PlaneTaker(
             self._plan.stack,
@@ -189,17 +191,12 @@ class Run:
     def cancel(self) -> None:
         """End after the exposure or cut in progress; what was taken is kept. A move of the stage is halted."""
         self._control.cancel()
-        if self._board.phase in MOVING:
-            self._stage.halt()
+        self._halting.stage_if(lambda: self._board.phase in MOVING)
 
     def stop(self) -> None:
         """End and stop all motion at once; everything stays where it is."""
         self._control.stop()
-        try:
-            self._stage.halt()
-        finally:
-            if self._feed is not None:
-                self._feed.halt()
+        self._halting.stop()
 
     def execute(self) -> RunState:
         """Carry out the plan and return how it ended; `error` says why if it FAILED, `held` what is asked if HELD."""
@@ -490,9 +487,10 @@ class Run:
 
     def _leave(self, end: RunEnd) -> None:
         """Halt, go back, close the camera's delivery, put the last record: each step even if one before failed."""
+        self._halting.leave()
         if end is RunEnd.CANCELLED:
             self._control.enter(RunState.CANCELLING)
-        self._try(self._stage.halt)
+        self._try(self._halting.everything if self._control.stopped else self._stage.halt)
         self._try(lambda: self._camera.stop(CAMERA_STOP_S))
         if self._removal:
             self._removal.leave()
@@ -529,8 +527,18 @@ class Run:
         if target_nm is None or self._control.stopped or stage_failed:
             return
         self._board.phase = Phase.RETURNING
-        self._stage.move_to(to_um(target_nm))
-        self._stage.settle(self._mover.timeout_s(target_nm))
+        self._go_back(target_nm)
+
+    def _go_back(self, target_nm: int) -> None:
+        """Bring the stage there; a stop on the way is no fault."""
+        try:
+            self._stage.move_to(to_um(target_nm))
+            if self._control.stopped:  # it was set between the look and the move
+                self._stage.halt()
+            self._stage.settle(self._mover.timeout_s(target_nm))
+        except (Halted, StageStalled):
+            if not self._control.stopped:
+                raise
 
 
 def _passes(check: Callable[[], None]) -> bool:

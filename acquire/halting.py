@@ -1,0 +1,69 @@
+"""Halts that no command given at the same moment outlives, and that never stop the way back."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+from devices.errors import StereotomeError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from devices.protocols import Feed, Stage
+
+REPEAT_S = 0.05
+
+
+class Halting:
+    """Halts what a run moves, from any thread, until the run has left its steps.
+
+    Two races are closed here. A halt that reaches a driver just before the run's own command to move stops nothing: so
+    a stop is repeated until the run has left. And a halt meant for a move of the stack, sent a moment late, would stop
+    the stage on its way back: so none is sent any more once the run has left.
+
+    Parameters
+    ----------
+    stage : Stage
+        Halted in any case.
+    feed : Feed or None
+        Halted by `stop` alone.
+    """
+
+    def __init__(self, stage: Stage, feed: Feed | None) -> None:
+        self._stage = stage
+        self._feed = feed
+        self._lock = threading.RLock()  # a signal may come in the thread that holds it
+        self._left = threading.Event()
+
+    def stage_if(self, moving: Callable[[], bool]) -> None:
+        """Halt the stage if the run is ``moving`` it and has not left."""
+        with self._lock:
+            if moving() and not self._left.is_set():
+                self._stage.halt()
+
+    def stop(self) -> None:
+        """Halt everything now, and again until the run has left; returns after the first time."""
+        try:
+            self.everything()
+        finally:
+            threading.Thread(target=self._repeat, name="halting", daemon=True).start()
+
+    def everything(self) -> None:
+        """Halt stage and feed, the feed even if the stage fails."""
+        try:
+            self._stage.halt()
+        finally:
+            if self._feed is not None:
+                self._feed.halt()
+
+    def leave(self) -> None:
+        """Note that the run gives no further command but the way back."""
+        with self._lock:
+            self._left.set()
+
+    def _repeat(self) -> None:
+        while not self._left.wait(REPEAT_S):
+            with suppress(StereotomeError):  # the run's own thread meets the same fault, and tells it
+                self.everything()
