@@ -15,9 +15,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from acquire.frame import Frame
+    from acquire.store import StoredRun
 
     Array = NDArray[Any]
 
+FEWEST = 3  # planes with which something can be said about depth
 ROOM = 32  # planes; doubled when it is full
 MOST_BYTES = 2 * 1024**3
 
@@ -39,6 +41,7 @@ class LiveStack:
         self._planes: Array | None = None
         self._z_um: dict[int, float] = {}
         self._section = -1
+        self._in_order = True
         self._sweep: FocusSweep | None = None
 
     def take(self, frame: Frame) -> None:
@@ -51,13 +54,32 @@ class LiveStack:
         other = self._planes is None or self._planes.shape[1:] != pixels.shape or self._planes.dtype != pixels.dtype
         if other or header.section != self._section or (header.plane < self.count - 1 and header.plane == 0):
             self._begin(pixels, header.section)
-        if self._grow(header.plane):
-            assert self._planes is not None
-            assert self._sweep is not None
-            self._planes[header.plane] = pixels
-            self._z_um[header.plane] = header.z_um
-            self._sweep.add(pixels)
-            self.count = max(self.count, header.plane + 1)
+        self._put(header.plane, pixels, header.z_um)
+
+    def fill(self, run: StoredRun, most: int) -> int:
+        """Put planes of this section that came too late through the ring from the run's folder; return how many."""
+        run.refresh()
+        late = [
+            (slot, record.header)
+            for slot, record in run.planes.items()
+            if record.header.section == self._section and record.header.band == 0
+        ]
+        missing = [(slot, header) for slot, header in late if header.plane not in self._z_um][:most]
+        for slot, header in missing:
+            pixels = run.read(slot)
+            self._put(header.plane, pixels if pixels.ndim == 2 else pixels[..., 1], header.z_um)
+        return len(missing)
+
+    def _put(self, plane: int, pixels: Array, z_um: float) -> None:
+        if not self._grow(plane):
+            return
+        assert self._planes is not None
+        self._planes[plane] = pixels
+        self._in_order = self._in_order and plane >= self.count
+        if self._in_order and self._sweep is not None:
+            self._sweep.add(self._planes[plane])
+        self._z_um[plane] = z_um
+        self.count = max(self.count, plane + 1)
 
     def volume(self, pixel_um: float | None = None) -> Volume | None:
         """Return what is there of the stack as a volume, the plane at the highest z nearest; None before the first."""
@@ -74,15 +96,19 @@ class LiveStack:
 
     def focus(self) -> tuple[Array, Array] | None:
         """Return extended focus and range (in planes taken) so far; None before there are enough planes."""
-        if self._sweep is None or self._sweep.count < 3 or self._planes is None:
+        if self._sweep is None or len(self._z_um) < FEWEST or self._planes is None:
             return None
-        image = self._sweep.preview()
         planes = [self._planes[k] for k in sorted(self._z_um)]
+        if not self._in_order:  # planes came late: the focus is measured anew, in their order
+            self._sweep, self._in_order = FocusSweep(self._sweep.shape), True
+            for plane in planes:
+                self._sweep.add(plane)
+        image = self._sweep.preview()
         return gather(planes, image, gather_reach(image)), image.range_
 
     def _begin(self, pixels: Array, section: int) -> None:
         self._planes = np.zeros((ROOM, *pixels.shape), pixels.dtype)
-        self._z_um, self.count, self._section = {}, 0, section
+        self._z_um, self.count, self._section, self._in_order = {}, 0, section, True
         height, width = pixels.shape
         self._sweep = FocusSweep((height, width))
 

@@ -11,6 +11,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from acquire.client import Instrument
+from acquire.store import StoredRun, is_run, open_run
 from devices.clock import SystemClock
 from display import controls
 from display.controls import Shown
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 STILL_S = 0.15  # after this long without input a picture is drawn in full
 IDLE_S = 0.05
 LIVE_S = 0.01
+LOOK_S = 0.3  # between looks into the folder of a run
+LATE_AT_ONCE = 16  # planes
 CONNECTION = ".json"  # the file a served instrument writes
 
 
@@ -100,7 +103,33 @@ def view(
 def _feed(source: str) -> Any:
     if not source.startswith("tcp://") and not source.endswith(CONNECTION) and ("/" in source or "." in source):
         load_volume(Path(source))  # says in words that there is no such file
-    return Instrument.connect(Path(source) if source.endswith(CONNECTION) else source).viewer()
+    return Feed(Instrument.connect(Path(source) if source.endswith(CONNECTION) else source))
+
+
+class Feed:
+    """What comes from an instrument: the newest frames, and what was missed of them from the run's folder."""
+
+    def __init__(self, instrument: Instrument) -> None:
+        self.viewer = instrument.viewer()
+        self._instrument = instrument
+        self._run: StoredRun | None = None
+        self._looked_s = float("-inf")
+
+    def fill(self, stack: LiveStack, now_s: float) -> int:
+        """Put planes into the stack that came too late through the ring; return how many."""
+        run = self._instrument.state.run
+        if run is None or not stack.count or now_s - self._looked_s < LOOK_S:
+            return 0
+        self._looked_s = now_s
+        folder = Path(run.folder)
+        if self._run is None or self._run.folder != folder:
+            self._run = open_run(folder) if is_run(folder) else None  # on another computer there is no such folder
+        return 0 if self._run is None else stack.fill(self._run, LATE_AT_ONCE)
+
+    def close(self) -> None:
+        """Leave."""
+        self.viewer.close()
+        self._instrument.close()
 
 
 class Viewer:
@@ -135,7 +164,7 @@ class Viewer:
             touched_s, before_s = (now_s if happened else touched_s), now_s
             shown = self._fed(shown)
             moving = now_s - touched_s < STILL_S and touched_s > 0
-            state = (shown, self._window.size, moving, self._stack.count, id(self._stack.newest), id(self._volume))
+            state = (shown, self._window.size, moving, id(self._stack.newest), id(self._volume))
             if state != drawn and min(self._window.size) > 0:
                 drawn = state
                 last = self._drawn(shown, moving=moving)
@@ -153,13 +182,15 @@ class Viewer:
 
     def _fed(self, shown: Shown) -> Shown:
         """Take the newest frame of an instrument, if there is one."""
-        frame = None if self._feed is None else self._feed.newest(0.0)
-        if frame is None:
+        if self._feed is None:
             return shown
-        before = self._stack.count
-        self._stack.take(frame)
-        if self._stack.count != before or self._volume is None:
-            self._volume = self._stack.volume(self._pixel_um)
+        frame = self._feed.viewer.newest(0.0)
+        if frame is not None:
+            self._stack.take(frame)
+        filled = self._feed.fill(self._stack, self._clock.now())
+        if frame is None and not filled:
+            return shown
+        self._volume = self._stack.volume(self._pixel_um)
         return controls.grown(shown, max(self._stack.count, 1))
 
     def _scene(self, shown: Shown) -> Scene:

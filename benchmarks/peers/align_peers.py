@@ -13,13 +13,13 @@ import numpy as np
 
 
 def pystackreg_affine(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    from pystackreg import StackReg  # noqa: PLC0415  each peer is loaded when it is its turn
+    from pystackreg import StackReg
 
     return StackReg(StackReg.AFFINE).register(first.astype(float), second.astype(float))
 
 
 def elastix_affine(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    import itk  # noqa: PLC0415
+    import itk
 
     parameters = itk.ParameterObject.New()
     parameters.AddParameterMap(itk.ParameterObject.GetDefaultParameterMap("affine"))

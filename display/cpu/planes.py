@@ -84,14 +84,19 @@ def cut_ray(
 ) -> None:
     """Find the nearest plane along a ray that is not transparent there."""
     best = 1e18
+    low, high = geometry[6], geometry[7]
     for k in range(planes.shape[0]):
-        plane = planes[k]
-        towards = plane[0] * way[0] + plane[1] * way[1] + plane[2] * way[2]
+        nx, ny, nz = planes[k, 0], planes[k, 1], planes[k, 2]
+        towards = nx * way[0] + ny * way[1] + nz * way[2]
         if abs(towards) < TINY:
             continue
-        t = (plane[3] - plane[0] * start[0] - plane[1] * start[1] - plane[2] * start[2]) / towards
-        x, y, z = start[0] + t * way[0] + plane[4], start[1] + t * way[1] + plane[5], start[2] + t * way[2] + plane[6]
-        if nearest < t < best and within(x, y, z, geometry):
+        t = (planes[k, 3] - nx * start[0] - ny * start[1] - nz * start[2]) / towards
+        x, y, z = (
+            start[0] + t * way[0] + planes[k, 4],
+            start[1] + t * way[1] + planes[k, 5],
+            start[2] + t * way[2] + planes[k, 6],
+        )
+        if nearest < t < best and within(x, y, z, low, high):
             value = (value_at(padded, x + 1, y + 1, z + 1, scale[4]) - scale[0]) * scale[1]
             if value >= scale[2]:
                 best = t
@@ -99,9 +104,8 @@ def cut_ray(
 
 
 @fast
-def within(x: float, y: float, z: float, geometry: Array) -> bool:
+def within(x: float, y: float, z: float, low: Array, high: Array) -> bool:
     """Tell whether a point lies in what is shown; a hair's breadth outside still does."""
-    low, high = geometry[6], geometry[7]
     hair = 1e-4
     inside_x = low[0] - hair <= x <= high[0] + hair
     return bool(inside_x and low[1] - hair <= y <= high[1] + hair and low[2] - hair <= z <= high[2] + hair)

@@ -1,5 +1,7 @@
 """The stack so far, from frames of a real ring in any order, with some of them missed."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -66,3 +68,26 @@ def test_focus_and_range_so_far_follow_the_sharpest_plane():
     assert np.median(range_planes) == pytest.approx(4, abs=0.3)
     assert np.corrcoef(focused.ravel(), texture.ravel())[0, 1] > 0.95
     assert range_band(range_planes).values.shape == (1, 40, 40)
+
+
+def test_planes_that_were_missed_come_from_the_folder_of_the_run():
+    class Run:
+        """Stands in for the run's folder: planes by slot."""
+
+        def __init__(self):
+            self.planes = {k: SimpleNamespace(header=frame(k).header) for k in range(5)}
+
+        def refresh(self):
+            pass
+
+        def read(self, slot):
+            return frame(slot).pixels
+
+    stack = LiveStack()
+    stack.take(frame(1))
+    stack.take(frame(4))
+    assert stack.fill(Run(), 2) == 2
+    assert stack.fill(Run(), 9) == 1
+    assert stack.fill(Run(), 9) == 0
+    assert stack.volume().bands[0].values[:, 0, 0].tolist() == [40, 30, 20, 10, 0]
+    assert stack.focus() is not None
