@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from focus_scene import scene
 
 from processing.focus import FocusSweep, focus_stack
+from sim.scenes.focus import scene
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

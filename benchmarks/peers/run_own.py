@@ -1,0 +1,16 @@
+"""Stack a folder with Stereotome, like for like: read RGB TIFF, measure, gather RGB, write; FOLDER OUT METHOD."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import tifffile
+
+from processing.focus import focus_stack
+
+folder, out, method = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
+planes = [tifffile.imread(path) for path in sorted(folder.glob("*.tif"))]
+result = focus_stack(planes, method=method, register=False)
+out.mkdir(exist_ok=True)
+tifffile.imwrite(out / "focus.tif", result.extended_focus, photometric="rgb")
+np.save(out / "range.npy", result.range)
