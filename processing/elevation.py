@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -14,11 +15,11 @@ from processing.stereo_match import match_area
 from processing.stereo_points import facet_raster, facets_between, match_markers, match_points, shortest_network
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
-    from processing.stereo_geometry import Plane, View
+    from processing.stereo_geometry import Located, Plane, View
     from processing.stereo_interest import Interest
     from processing.stereo_points import Matches
 
@@ -38,15 +39,15 @@ class Geometry:
 
     Attributes
     ----------
-    views : (View, View)
-        Of the left and the right picture.
+    views : tuple of View
+        Of the left and the right picture, and of further ones.
     pixel_um : float
         Size of a pixel in the specimen.
     axis_px : float, optional
         Column of the tilt axis, where the specimen does not move; the middle of the picture when left out.
     """
 
-    views: tuple[View, View]
+    views: tuple[View, ...]
     pixel_um: float
     axis_px: float | None = None
 
@@ -63,8 +64,8 @@ class Geometry:
         axis = (width - 1) / 2 if self.axis_px is None else self.axis_px
         return np.asarray((x_px - axis) * self.pixel_um)
 
-    def band_px(self, relief_um: float, width: int) -> tuple[int, int]:
-        """Return the parallax that heights within ± ``relief_um`` can have anywhere in the picture.
+    def band_px(self, relief_um: float, width: int, other: int = 1) -> tuple[int, int]:
+        """Return the parallax that heights within ± ``relief_um`` can have anywhere, from the left to another view.
 
         Raises
         ------
@@ -75,7 +76,7 @@ class Geometry:
             raise InputError(f"a relief of {relief_um:g} µm cannot be.", fix="--relief-um 50", code="stereo-relief")
         x = self.from_axis_um(np.array([0.0, width - 1.0, 0.0, width - 1.0]), width)
         z = np.array([relief_um, relief_um, -relief_um, -relief_um])
-        parallax = (self.views[0].project(x, z) - self.views[1].project(x, z)) / self.pixel_um
+        parallax = (self.views[0].project(x, z) - self.views[other].project(x, z)) / self.pixel_um
         return math.floor(parallax.min()) - 1, math.ceil(parallax.max()) + 1
 
 
@@ -154,6 +155,8 @@ def elevation(
     *,
     method: Method = "area",
     band_px: tuple[int, int] | None = None,
+    relief_um: float | None = None,
+    more: Sequence[Array] = (),
     interest: Interest = "zuniga-haralick",
     matches: Matches | None = None,
     progress: Callable[[float], None] | None = None,
@@ -171,6 +174,10 @@ def elevation(
         transparent volume.
     band_px : (int, int), optional
         Lowest and highest parallax; found from the pictures when left out, but for markers ± an eighth of the width.
+    relief_um : float, optional
+        Largest height above and below the axis, from which the bands follow, in place of ``band_px``.
+    more : sequence of arrays
+        Further views, for the area method: ``geometry`` has theirs, too.
     interest : str
         Operator that finds the points.
     matches : Matches, optional
@@ -183,11 +190,20 @@ def elevation(
     InputError
         Views that cannot be matched, or numbers that make no sense.
     """
+    if more and (method != "area" or matches is not None):
+        raise InputError(
+            "further views are of use to the area method only.",
+            fix="leave --method and --matches out.",
+            code="stereo-more",
+        )
+    bands: list[tuple[int, int] | None] = [band_px, *[None] * len(more)]
+    if band_px is None and relief_um is not None:
+        bands = [geometry.band_px(relief_um, left.shape[1], k) for k in range(1, len(geometry.views))]
     if method == "area" and matches is None:
-        found = from_area(left, right, geometry, band_px, progress)
+        found = from_area((left, right, *more), geometry, bands, progress)
     else:
         found = from_matches(
-            _matched(left, right, method, band_px, interest) if matches is None else matches,
+            _matched(left, right, method, bands[0], interest) if matches is None else matches,
             left.shape[:2],
             geometry,
             joined=method != "markers",
@@ -203,18 +219,23 @@ def _matched(left: Array, right: Array, method: Method, band_px: tuple[int, int]
 
 
 def from_area(
-    left: Array,
-    right: Array,
+    pictures: Sequence[Array],
     geometry: Geometry,
-    band_px: tuple[int, int] | None = None,
+    bands_px: Sequence[tuple[int, int] | None],
     progress: Callable[[float], None] | None = None,
 ) -> Elevation:
-    """Return the elevation of every pixel that finds a partner."""
-    found = match_area(left, right, band_px=band_px, progress=progress)
+    """Return the elevation of every pixel of the first picture that finds a partner in another, or in several."""
+    others = len(pictures) - 1
+    matched = []
+    for k, (picture, band) in enumerate(zip(pictures[1:], bands_px, strict=True)):
+        tell = None if progress is None else partial(_part_done, progress, k, others)
+        matched.append(match_area(pictures[0], picture, band_px=band, progress=tell))
+    found = matched[0]
     height, width = found.parallax_px.shape
     y, x = np.mgrid[:height, :width].astype(np.float64)
-    x_um, z_um, error_per_px = _located(x, x - found.parallax_px, width, geometry)
-    sigma = error_per_px * found.sigma_px
+    located = _located([x, *(x - m.parallax_px for m in matched)], width, geometry)
+    x_um, z_um = located.x_um, located.z_um
+    sigma = _error(located, [m.sigma_px for m in matched], geometry)
     grid = (slice(GRID_STEP_PX // 2, None, GRID_STEP_PX),) * 2
     known = found.valid[grid]
     place = np.stack([x[grid][known], y[grid][known]], axis=1)
@@ -224,21 +245,41 @@ def from_area(
     points = Points(place, partner, xyz, sigma[grid][known], certain, NO_FACETS, NO_FACETS[:, :2])
     plane = fitted_plane(x_um, y * geometry.pixel_um, z_um)
     maps = (z_um.astype(np.float32), sigma.astype(np.float32), found.parallax_px)
-    return Elevation(*maps, points, plane, levelled=False, band_px=found.band_px, notes=())
+    notes = _disagreement(located, others)
+    return Elevation(*maps, points, plane, levelled=False, band_px=found.band_px, notes=notes)
 
 
-def _located(x_left: Array, x_right: Array, width: int, geometry: Geometry) -> tuple[Array, Array, Array]:
-    """Return x and z in µm and the error of z for an error of one pixel of parallax."""
-    places = [geometry.from_axis_um(x, width) for x in (x_left, x_right)]
-    found = locate(geometry.views, places)
-    return found.x_um, found.z_um, found.z_per_um * geometry.pixel_um
+def _part_done(progress: Callable[[float], None], part: int, parts: int, share: float) -> None:
+    progress((part + share) / parts)
+
+
+def _error(located: Located, sigmas_px: Sequence[Array], geometry: Geometry) -> Array:
+    """Return the error of z from those of the places in all views but the first, where the points are asked for."""
+    parts = [
+        np.where(np.isfinite(sigma), each * sigma * geometry.pixel_um, 0.0)
+        for each, sigma in zip(located.each_z_per_um[1:], sigmas_px, strict=True)
+    ]
+    return np.where(np.isfinite(located.z_um), np.sqrt(sum(part**2 for part in parts)), np.nan)
+
+
+def _disagreement(located: Located, others: int) -> tuple[str, ...]:
+    if others < 2:
+        return ()
+    misfit = float(np.nanmedian(located.misfit_um))
+    return (f"{others + 1} views disagree by {misfit:.3g} µm in place (median, root mean square).",)
+
+
+def _located(places_px: Sequence[Array], width: int, geometry: Geometry) -> Located:
+    """Return places in µm from where the views show them."""
+    return locate(geometry.views[: len(places_px)], [geometry.from_axis_um(x, width) for x in places_px])
 
 
 def from_matches(matches: Matches, shape: tuple[int, int], geometry: Geometry, *, joined: bool) -> Elevation:
     """Return the elevation on the facets between points, or of single markers and the network that joins them."""
-    x_um, z_um, error_per_px = _located(matches.left[:, 0], matches.right[:, 0], shape[1], geometry)
+    located = _located([matches.left[:, 0], matches.right[:, 0]], shape[1], geometry)
+    x_um, z_um = located.x_um, located.z_um
     xyz = np.stack([x_um, matches.left[:, 1] * geometry.pixel_um, z_um], axis=1)
-    sigma = error_per_px * matches.sigma_px
+    sigma = located.z_per_um * geometry.pixel_um * matches.sigma_px
     facets = facets_between(matches.left) if joined else NO_FACETS
     network = NO_FACETS[:, :2] if joined else shortest_network(xyz)
     points = Points(matches.left, matches.right, xyz, sigma, matches.ambiguous, facets, network)
@@ -266,8 +307,10 @@ def levelled(found: Elevation, geometry: Geometry) -> Elevation:
     """Return the elevation from its own mean plane instead of from the level of the tilt axis."""
     height, width = found.elevation_um.shape
     y, x = np.mgrid[:height, :width].astype(np.float64)
-    x_um, z_um, _ = _located(x, x - found.parallax_px, width, geometry)
-    flat = (z_um - found.plane.at(x_um, y * geometry.pixel_um)).astype(np.float32)
+    left = geometry.views[0]
+    a, b, c = left.equation(geometry.from_axis_um(x, width))
+    x_um = (c - b * found.elevation_um) / a  # on the left view's ray, at this height
+    flat = (found.elevation_um - found.plane.at(x_um, y * geometry.pixel_um)).astype(np.float32)
     xyz = found.points.xyz_um.copy()
     xyz[:, 2] -= found.plane.at(xyz[:, 0], xyz[:, 1])
     return replace(found, elevation_um=flat, points=replace(found.points, xyz_um=xyz), levelled=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as notation
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path  # noqa: TC003  the command line is made from the annotations
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,7 +18,7 @@ from processing.elevation_outputs import FILES, contents, report
 from processing.outputs import peak_memory_mb
 from processing.result_folder import check_results, plain, write_results
 from processing.stack import open_stack
-from processing.stereo_geometry import shifted_pair, tilted_pair
+from processing.stereo_geometry import further_view, shifted_pair, tilted_pair
 from processing.stereo_interest import Interest  # noqa: TC001  the command line is made from the annotations
 from processing.stereo_points import read_matches
 
@@ -78,6 +78,7 @@ def elevation_command(
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     taking: Taking = Taking(),
+    more: list[tuple[Path, float]] | None = None,
     method: Method = "area",
     interest: Interest = "zuniga-haralick",
     band_px: tuple[int, int] | None = None,
@@ -98,6 +99,9 @@ def elevation_command(
         The two views; the same point lies in the same row of both.
     output
         Folder for maps, points, pictures and report.
+    more
+        A further view: file, and its tilt in degrees counted like that of the left view (positive brings what is high
+        to the right); once for each. Every pixel is placed by all views that show it.
     method
         area: every pixel by its surroundings; points: interesting points in order, and facets; markers: dark spots in
         a transparent volume, in any order.
@@ -121,16 +125,17 @@ def elevation_command(
     check_results(output, FILES, overwrite=overwrite)
     clock = SystemClock()
     begin = clock.now()
-    views, geometry, notes = opened_pair(left, right, taking)
+    views, geometry, notes = opened_views(left, right, taking, more or [])
     listed = None if matches is None else read_matches(matches)
-    if band_px is None and relief_um is not None:
-        band_px = geometry.band_px(relief_um, views[0].shape[1])
     with progress("matching", 100, quiet=quiet) as show:
         found = elevation(
-            *views,
+            views[0],
+            views[1],
             geometry,
             method=method,
             band_px=band_px,
+            relief_um=relief_um,
+            more=views[2:],
             interest=interest,
             matches=listed,
             progress=lambda share: show(round(100 * share)),
@@ -140,15 +145,22 @@ def elevation_command(
     notes = [*notes, *found.notes]
     sys.stderr.writelines([] if quiet else [f"note: {note}\n" for note in notes])
     took = {"seconds": round(clock.now() - begin, 3), "peak_memory_mb": round(peak_memory_mb(), 1)}
-    facts = {"method": method, "input": {"left": str(left), "right": str(right)}, "notes": notes, **took}
+    facts = {
+        "method": method,
+        "input": {"left": str(left), "right": str(right), "more": [str(path) for path, _ in more or []]},
+        "notes": notes,
+        **took,
+    }
     write_results(output, contents(views[0], found, geometry, facts))
     said = {**report(found, geometry), **facts, "files": FILES}
     sys.stdout.write(notation.dumps(plain(said), ensure_ascii=False) + "\n" if json else summary(said, found, output))
     return 0
 
 
-def opened_pair(left: Path, right: Path, taking: Taking) -> tuple[tuple[Array, Array], Geometry, list[str]]:
-    """Read both views and work out the geometry; also returns what the files leave to be said.
+def opened_views(
+    left: Path, right: Path, taking: Taking, more: list[tuple[Path, float]]
+) -> tuple[list[Array], Geometry, list[str]]:
+    """Read all views and work out the geometry; also returns what the files leave to be said.
 
     Raises
     ------
@@ -156,7 +168,7 @@ def opened_pair(left: Path, right: Path, taking: Taking) -> tuple[tuple[Array, A
         A file is missing or holds more than one picture; the geometry makes no sense.
     """
     taking.views()  # numbers that make no sense are refused before files are read
-    stacks = [open_stack(path) for path in (left, right)]
+    stacks = [open_stack(path) for path in (left, right, *(path for path, _ in more))]
     for stack in stacks:
         if len(stack) > 1:
             raise InputError(
@@ -165,7 +177,9 @@ def opened_pair(left: Path, right: Path, taking: Taking) -> tuple[tuple[Array, A
                 code="stereo-planes",
             )
     notes = [note for stack in stacks for note in stack.notes if not note.startswith("one plane")]
-    return (stacks[0][0], stacks[1][0]), taking.geometry(stacks[0].pixel_um), notes
+    geometry = taking.geometry(stacks[0].pixel_um)
+    further = tuple(further_view(tilt_deg, geometry.views[0].distance_um) for _, tilt_deg in more)
+    return [stack[0] for stack in stacks], replace(geometry, views=(*geometry.views, *further)), notes
 
 
 def summary(said: dict[str, Any], found: Elevation, folder: Path) -> str:

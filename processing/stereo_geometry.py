@@ -74,16 +74,21 @@ class Located:
     ----------
     x_um, z_um : array
         Position from the tilt axis.
-    z_per_um : array
-        Standard error of ``z_um`` for an error of 1 µm in the place in the last view, the others being exact.
+    each_z_per_um : array (views, …)
+        Standard error of ``z_um`` for an error of 1 µm in the place in one view, the others being exact.
     misfit_um : array
         Root mean square of what the views disagree by; 0 with two views.
     """
 
     x_um: Array
     z_um: Array
-    z_per_um: Array
+    each_z_per_um: Array
     misfit_um: Array
+
+    @property
+    def z_per_um(self) -> Array:
+        """That of the last view."""
+        return np.asarray(self.each_z_per_um[-1])
 
 
 def tilted_pair(tilt_deg: float, *, left_deg: float | None = None, distance_um: float = math.inf) -> tuple[View, View]:
@@ -114,6 +119,19 @@ def tilted_pair(tilt_deg: float, *, left_deg: float | None = None, distance_um: 
     if not abs(left) <= WIDEST_TILT_DEG:
         raise InputError(f"a left view tilted by {left:g}° cannot be.", fix="--left-deg 4", code="stereo-tilt")
     return View(left, 0.0, _distance(distance_um)), View(left - tilt_deg, 0.0, _distance(distance_um))
+
+
+def further_view(tilt_deg: float, distance_um: float = math.inf) -> View:
+    """Return one more view of a tilt series.
+
+    Raises
+    ------
+    InputError
+        ``stereo-tilt``: no number, or beyond 90°.
+    """
+    if not abs(tilt_deg) <= WIDEST_TILT_DEG:
+        raise InputError(f"a view tilted by {tilt_deg:g}° cannot be.", fix="--more FILE 6", code="stereo-tilt")
+    return View(tilt_deg, 0.0, _distance(distance_um))
 
 
 def shifted_pair(shift_um: float, distance_um: float) -> tuple[View, View]:
@@ -154,7 +172,8 @@ def locate(views: Sequence[View], seen_um: Sequence[Array]) -> Located:
     views : sequence of View
         At least two that differ.
     seen_um : sequence of arrays
-        x of the points in each view, µm from the axis; NaN stays NaN.
+        x of the points in each view, µm from the axis; NaN where a view does not show it. What fewer than two views
+        show is NaN.
 
     Raises
     ------
@@ -167,9 +186,10 @@ def locate(views: Sequence[View], seen_um: Sequence[Array]) -> Located:
             fix="give two or more views and the places of the points in each.",
             code="stereo-geometry",
         )
-    rows = [view.equation(np.asarray(seen, np.float64)) for view, seen in zip(views, seen_um, strict=True)]
+    rows = [_known_only(view.equation(np.asarray(seen, np.float64))) for view, seen in zip(views, seen_um, strict=True)]
+    count = np.asarray(sum(np.isfinite(np.asarray(seen, np.float64)).astype(int) for seen in seen_um))
     aa, ab, bb, ac, bc = (_summed(rows, i, j) for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2)))
-    determinant = np.asarray(aa * bb - ab * ab)
+    determinant = np.where(count >= 2, aa * bb - ab * ab, np.nan)
     if not np.nanmax(np.abs(determinant), initial=0.0) > SMALLEST_DETERMINANT**2:
         raise InputError(
             "the views differ too little: height and place cannot be told apart.",
@@ -177,8 +197,17 @@ def locate(views: Sequence[View], seen_um: Sequence[Array]) -> Located:
             code="stereo-geometry",
         )
     x_um, z_um = (bb * ac - ab * bc) / determinant, (aa * bc - ab * ac) / determinant
-    misfit = np.sqrt(sum((a * x_um + b * z_um - c) ** 2 for a, b, c in rows) / len(rows))
-    return Located(x_um, z_um, _sensitivity(views[-1], rows[-1], (aa, ab, determinant), x_um, z_um), misfit)
+    misfit = np.sqrt(sum((a * x_um + b * z_um - c) ** 2 for a, b, c in rows) / np.maximum(count, 1))
+    sums = aa, ab, determinant
+    each = np.stack([_sensitivity(view, row, sums, x_um, z_um) for view, row in zip(views, rows, strict=True)])
+    return Located(x_um, z_um, each, misfit)
+
+
+def _known_only(row: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    """Take the say from points a view does not show."""
+    known = np.isfinite(row[2])
+    a, b, c = (np.where(known, part, 0.0) for part in row)
+    return a, b, c
 
 
 def _summed(rows: Sequence[tuple[Array, Array, Array]], i: int, j: int) -> Array:

@@ -24,13 +24,13 @@ SLOPE = 0.2
 ARGUMENTS = ("--tilt-deg", TILT_DEG, "--pixel-um", PIXEL_UM)
 
 
-def views() -> list[np.ndarray]:
-    """Look at a textured plane z = 0.2 x from both sides; x runs from the middle of the picture."""
+def views(tilts_deg: tuple[float, ...] = (TILT_DEG / 2, -TILT_DEG / 2)) -> list[np.ndarray]:
+    """Look at a textured plane z = 0.2 x from some sides; x runs from the middle of the picture."""
     grain = np.random.default_rng(7).normal(size=(SHAPE[0], 400)).astype(np.float32)
     scene = 128 + 180 * cv2.GaussianBlur(grain, (0, 0), 1.2)
     middle = (SHAPE[1] - 1) / 2
     out = []
-    for half in (TILT_DEG / 2, -TILT_DEG / 2):
+    for half in tilts_deg:
         t = math.radians(half)
         stretch = math.cos(t) + SLOPE * math.sin(t)
         source = (200 + (np.arange(SHAPE[1]) - middle) / stretch).astype(np.float32)
@@ -80,6 +80,27 @@ def test_a_sloping_plane_comes_out_up_positive_with_all_files(
     np.testing.assert_allclose(parallax[valid], expected[valid], atol=0.02)
 
 
+def test_more_views_make_the_height_surer_and_fill_what_one_pair_leaves_open(pair: list[Path], tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    taken = dict(zip(("l", "r", "a", "b"), views((5, -5, -10, 10)), strict=True))
+    for name, view in taken.items():
+        noisy = view + rng.normal(0, 12, view.shape)
+        if name == "r":
+            noisy[30:50, 60:90] = 255  # hidden from the right view alone
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.clip(noisy, 0, 255).astype(np.uint8))
+    two = [str(tmp_path / "l.png"), str(tmp_path / "r.png")]
+    more = ["--more", str(tmp_path / "a.png"), "-10", "--more", str(tmp_path / "b.png"), "10"]
+    errors, known = [], []
+    for k, extra in enumerate(([], more)):
+        assert command(*two, "-o", tmp_path / f"out{k}", *ARGUMENTS, *extra, "-q") == 0
+        found = tifffile.imread(tmp_path / f"out{k}" / "elevation.tif")
+        errors.append(np.sqrt(np.nanmean((found - truth()) ** 2)))
+        known.append(np.isfinite(found[35:45, 75:85]).mean())
+    assert errors[1] < 0.7 * errors[0]
+    assert known[0] < 0.3
+    assert known[1] > 0.9
+
+
 def test_levelling_takes_the_plane_away(pair: list[Path], tmp_path: Path) -> None:
     assert command(*pair, "-o", tmp_path / "out", *ARGUMENTS, "--level", "-q", "--relief-um", 12) == 0
     assert np.nanmedian(np.abs(tifffile.imread(tmp_path / "out" / "elevation.tif"))) < 0.2
@@ -113,11 +134,19 @@ def test_points_edited_by_hand_are_taken_as_they_are(pair: list[Path], tmp_path:
         (("--shift-um", 3, "--pixel-um", 1), "stereo-distance"),
         ((*ARGUMENTS, "--band-px", 9, -9), "stereo-band"),
         ((*ARGUMENTS, "--relief-um", 0), "stereo-relief"),
+        ((*ARGUMENTS, "--more", "left.png", 100), "stereo-tilt"),
+        ((*ARGUMENTS, "--more", "left.png", 9, "--method", "points"), "stereo-more"),
     ],
 )
 def test_numbers_that_make_no_sense_are_one_clear_error(
-    pair: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[object, ...], code: str
+    pair: list[Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[object, ...],
+    code: str,
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     assert command(*pair, "-o", tmp_path / "out", *arguments) == 2
     said = capsys.readouterr().err
     assert f"error[{code}]" in said
