@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from devices.errors import InputError
-from processing.align_models import applied, fitted
+from processing.align_models import applied, distance_px, fitted
 from processing.align_pair import grey
 from processing.align_solve import Row
 from processing.readers import reading
@@ -42,6 +42,8 @@ MARK_ERROR_PX = 0.1  # assumed of places from a table
 EARLY = 5  # sections after which spots that are no marks are given up
 MOST_MARKS = 16  # of which every three are tried
 AGREE_PX = 0.7
+LEAST_FOUND = 4  # any three agree
+CONTRADICTS_PX = 2.0  # by which no specimen leans or twists from one section to the next
 LEAST_AREA_PX = 1000.0  # twice that of the triangle three marks span
 
 
@@ -229,7 +231,7 @@ def find_marks(sections: Planes, matrices: Array, reference: int) -> Marks:
     Raises
     ------
     InputError
-        ``align-marks``: fewer than three such marks.
+        ``align-marks``: fewer than four such marks, as any three agree; or they contradict the pictures.
     """
     candidates = spots(grey(sections[reference]))
     rows: list[list[Spot | None]] = [[None] * len(candidates) for _ in range(len(sections))]
@@ -240,16 +242,39 @@ def find_marks(sections: Planes, matrices: Array, reference: int) -> Marks:
     steady = [m for m in alive if _is_mark([row[m] for row in rows])]
     places = np.array([[(s.x, s.y) if (s := row[m]) else (np.nan, np.nan) for m in steady] for row in rows])
     kept = consistent(places.reshape(len(sections), len(steady), 2), reference)
-    if len(kept) < FEWEST["affine"]:
+    if len(kept) < LEAST_FOUND:
         raise InputError(
             f"{len(kept)} fiducial marks were found, of {len(candidates)} spots in section {reference}; "
-            f"{FEWEST['affine']} are needed.",
+            f"{LEAST_FOUND} are needed.",
             why="A mark is a round spot of steady size and contrast, seen in four of five sections and more; marks "
             "keep their places to each other.",
             fix=("give their places: --fiducials marks.csv", "leave out --fiducials"),
             code="align-marks",
         )
+    _check_agreement(places[:, kept], matrices, reference, sections[reference].shape)
     return Marks(places[:, kept], np.full((len(kept), 2), np.nan), MARK_ERROR_PX)
+
+
+def _check_agreement(places: Array, matrices: Array, reference: int, shape: tuple[int, ...]) -> None:
+    """Refuse marks whose steps from section to section are not at all those of the pictures."""
+    own = {}
+    for k, seen in enumerate(places):
+        both = np.isfinite(seen).all(axis=1) & np.isfinite(places[reference]).all(axis=1)
+        if both.sum() >= FEWEST["affine"]:
+            own[k] = fitted("affine", places[reference][both], seen[both])
+    off = [
+        distance_px(own[k] @ np.linalg.inv(own[k - 1]), matrices[k] @ np.linalg.inv(matrices[k - 1]), shape)
+        for k in own
+        if k - 1 in own
+    ]
+    typical = float(np.median(off)) if off else 0.0
+    if typical > CONTRADICTS_PX:
+        raise InputError(
+            f"the {places.shape[1]} round spots that were followed are no fiducial marks: they contradict the pictures "
+            f"by {typical:.1f} px from section to section.",
+            fix=("give places of marks: --fiducials marks.csv", "leave out --fiducials"),
+            code="align-marks",
+        )
 
 
 def _follow(
