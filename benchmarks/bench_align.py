@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,6 +21,7 @@ import numpy as np
 import tifffile
 from sections_scene import Sections, sections
 
+from devices.errors import InputError
 from processing.align_fiducials import Marks, find_marks
 from processing.align_models import applied, deformation, distance_px, fitted, grid
 from processing.align_pair import view
@@ -180,8 +182,10 @@ def twisted() -> list[Row]:
 def own_shape(name: str, scene: Sections) -> list[Row]:
     """How far a shape is bent that a stack with marks must leave as it is; a section is as thick as a pixel is wide."""
     free = aligned(scene)
-    marks = find_marks(list(scene.images), free.matrices, 0)
-    lean, turn = bent_deg(list(aligned(scene, marks).matrices), scene)
+    lean = turn = float("nan")  # refused: no limit is kept
+    with suppress(InputError):
+        marks = find_marks(list(scene.images), free.matrices, 0)
+        lean, turn = bent_deg(list(aligned(scene, marks).matrices), scene)
     warned = drift(list(free.matrices), SHAPE).seen
     return [
         (f"{name}, marks found by itself: axis off, degrees", lean, "<= 0.2"),
