@@ -317,12 +317,17 @@ class Removal:
         check_place(here_nm, target_nm)
 
     def _resting_nm(self) -> float:
-        """Return where the feed stands once it stands still."""
+        """Return where the feed stands once it stands still, and let its driver take note of it.
+
+        A driver that was opened while feed or knife still moved does not let them move again until it has looked.
+        """
         before_nm = self._feed_axis.position_nm()
         for _ in range(REST_LOOKS):
             self._clock.sleep(REST_S)
             here_nm = self._feed_axis.position_nm()
             if here_nm == before_nm:
+                if isinstance(self._feed_axis, Microtome):
+                    self._feed_axis.resolve()
                 return here_nm
             before_nm = here_nm
         raise DeviceError("feed: it does not come to rest.", fix="stop it: stereotome section stop")
