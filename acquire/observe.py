@@ -11,7 +11,7 @@ import os
 import select
 import subprocess
 import sys
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,25 +51,49 @@ class Observer:
 
     def finish(self, timeout_s: float) -> str:
         """Wait for the observer to end; return what went wrong in words, empty if nothing did."""
+        if self._stands_still():
+            return f"{self.name} stood still and was ended."
         try:
             self._process.communicate(timeout=timeout_s)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.communicate()
+            self._end()
             return f"{self.name} was not done after {timeout_s:.0f} s and was ended."
         if self._process.returncode == 0:
             return ""
+        return self._last_words()
+
+    def _stands_still(self) -> bool:
+        """End a process that somebody stopped: it would never be done."""
+        status = Path(f"/proc/{self._process.pid}/stat")
+        try:
+            stopped = status.read_text(encoding="utf-8").rpartition(")")[2].split()[0] in {"T", "t"}
+        except OSError:
+            return False
+        if stopped:
+            self._end()
+        return stopped
+
+    def _end(self) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+    def _last_words(self) -> str:
         lines = self._log.read_text(encoding="utf-8", errors="replace").splitlines() or ["it said nothing"]
         return f"{self.name} failed: {lines[-1].strip()} (all of it: {self._log})"
 
 
-def load(name: str) -> Observe:
-    """Return the observer of that name; raises `PlanError` when none is installed."""
+def known_observer(name: str) -> EntryPoint:
+    """Return where the observer of that name is; raises `PlanError` when none is installed."""
     found = entry_points(group=GROUP, name=name)
     if not found:
         known = ", ".join(sorted(entry_points(group=GROUP).names))
         raise PlanError(f"no observer is called {name!r}.", fix=f"installed are: {known}")
-    observe: Observe = next(iter(found)).load()
+    return next(iter(found))
+
+
+def load(name: str) -> Observe:
+    """Return the observer of that name; raises as `known_observer`."""
+    observe: Observe = known_observer(name).load()
     return observe
 
 

@@ -152,6 +152,8 @@ class ProcessSpec(Table):
         Grey level for the method threshold.
     band : int or None
         The band of colour planes that decides.
+    observers : tuple of str
+        Names of the entry-point group ``stereotome.observers``; each is a process of its own.
     """
 
     extended_focus: bool = False
@@ -160,6 +162,7 @@ class ProcessSpec(Table):
     method: Literal["brightfield", "transparent", "confocal", "threshold"] = "brightfield"
     threshold: float | None = None
     band: Annotated[int, Field(ge=0, le=2)] | None = None
+    observers: Annotated[tuple[str, ...], Field(strict=False)] = ()
 
     @model_validator(mode="after")
     def _threshold_belongs_to_its_method(self) -> ProcessSpec:

@@ -15,6 +15,7 @@ from acquire.engine import Policy, Run, RunState
 from acquire.estimate import Estimate, estimate
 from acquire.interlock import guarded
 from acquire.observe import Observer
+from acquire.observe import Observer, known_observer
 from acquire.ome_zarr import FocalArray
 from acquire.planning import pace_of, plan_run
 from acquire.quality import quality_of
@@ -195,6 +196,9 @@ class Session:
         triggered = recipe.stack.trigger == "hardware"
         if triggered:
             check_triggered(plan.stack, rig.stage, rig.camera)
+        self._tell = tell
+        for name in recipe.process.observers:
+            known_observer(name)
         rig.camera.configure(exposure_ms=plan.exposure_ms(0))  # what it refuses is known before anything is written
         caps = rig.camera.caps()
         sweep_stale(shared_memory_folder())
@@ -357,13 +361,14 @@ def resumed_session(
 
 def _start_observers(recipe: Recipe, ring: Path, folder: Path) -> list[Observer]:
     process = recipe.process
+    named = [Observer(name, ring, folder, folder / name, {}) for name in process.observers]
     if not process.wanted:
-        return []
+        return named
     options: dict[str, Any] = process.focus_options
     if process.stereo_pair is not None:
         options["angle_deg"] = process.stereo_pair.angle_deg
     name = "focus" if process.stereo_pair is None else "stereo"
-    return [Observer(name, ring, folder, folder / OBSERVER_RESULTS, options)]
+    return [Observer(name, ring, folder, folder / OBSERVER_RESULTS, options), *named]
 
 
 def _layout(plan: RunPlan, recipe: Recipe, spec: RigSpec, caps: CameraCaps) -> FocalArray:

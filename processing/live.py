@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from acquire.ring import RingReader, WriterGone
-from acquire.store import RunEnd, open_run
+from acquire.store import open_run
 from devices.clock import SystemClock
 from processing.focus import FocusResult, FocusSweep, focus_stack
 from processing.outputs import about_stack, peak_memory_mb, write_focus_result
 from processing.stack import open_stack
+from processing.watchers import LOOK_S, wait_for_end
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[Any]
 
-LOOK_S = 0.05
 KEEP_BYTES = 1024**3  # planes of a run up to this size stay in memory for the last step
 WARM_SIDE = 16
 
@@ -145,13 +145,6 @@ def follow(reader: RingReader, live: LiveFocus) -> None:
             live.advance()
         else:
             live.take(frame)
-
-
-def wait_for_end(run: StoredRun, clock: Clock) -> None:
-    """Wait until the run has written its last word, or its process died."""
-    while run.state is RunEnd.RUNNING:
-        clock.sleep(LOOK_S)
-        run.refresh()
 
 
 def focus_options(given: dict[str, Any]) -> Options:
