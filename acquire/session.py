@@ -14,7 +14,6 @@ from acquire.autofocus import Focus, focus_of
 from acquire.engine import Policy, Run, RunState
 from acquire.estimate import Estimate, estimate
 from acquire.interlock import guarded
-from acquire.observe import Observer
 from acquire.observe import Observer, known_observer
 from acquire.ome_zarr import FocalArray
 from acquire.planning import pace_of, plan_run
@@ -196,7 +195,6 @@ class Session:
         triggered = recipe.stack.trigger == "hardware"
         if triggered:
             check_triggered(plan.stack, rig.stage, rig.camera)
-        self._tell = tell
         for name in recipe.process.observers:
             known_observer(name)
         rig.camera.configure(exposure_ms=plan.exposure_ms(0))  # what it refuses is known before anything is written
