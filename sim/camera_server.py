@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108  a file system in memory; the file is made by mkstemp
 SLOTS = 4
+GRACE_S = 2.0  # a program that starts right after another has ended is not told that the camera is in use
 LATE_FRAME_S, LATE_EXPOSURES = 1.5, 6  # longer than drivers wait, which is 1 s or five exposures
 PAGE = mmap.PAGESIZE
 PREFIX = "stereotome-bench-"
@@ -166,7 +167,7 @@ class CameraServer:
     def _attend(self, connection: socket.socket) -> None:
         with contextlib.suppress(OSError), connection:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            if not self._in_use.acquire(blocking=False):
+            if not self._in_use.acquire(timeout=GRACE_S):
                 connection.sendall(b'{"ok":false,"error":"busy"}\n')
                 return
             try:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from sim.block import Face
 
 RAMP_S = 0.02
+AT_PLACE_UM = 1e-3
 FOLLOWING_ERROR_S = 0.1
 TOP_SPEED_UM_S = 5000.0
 APPROACH_S = PARK_S = 0.05
@@ -111,7 +112,7 @@ class FeedMachine:
     @property
     def tripped(self) -> bool:
         """Whether it has passed the place at which its drive was made to fail; it brakes there."""
-        if self.trip_at_um is None or self.axis.encoder_um() < self.trip_at_um:
+        if self.trip_at_um is None or self.axis.encoder_um() < self.trip_at_um - AT_PLACE_UM:
             return False
         self.trip_at_um = None
         self.axis.halt()
@@ -154,7 +155,10 @@ class FeedMachine:
     def _go(self, target_um: float, speed_um_s: float) -> None:
         self._target_um = target_um
         self.axis.set_speed(speed_um_s)
-        self.axis.move_to(min(max(target_um, self.travel.min_um), self.travel.max_um))
+        goal_um = min(max(target_um, self.travel.min_um), self.travel.max_um)
+        if self.trip_at_um is not None and self.axis.encoder_um() < self.trip_at_um < goal_um:
+            goal_um = self.trip_at_um  # it gets no further, even if nobody looks while it passes there
+        self.axis.move_to(goal_um)
 
 
 class Stroke(StrEnum):

@@ -472,7 +472,8 @@ SPOILT_SEQUENCE: dict[str, tuple[dict[str, object], str]] = {
 @pytest.mark.parametrize("fault", SPOILT_SEQUENCE)
 def test_mm_a_sequence_goes_wrong(snapping: mm_camera.MicroManagerCamera, monkeypatch, fault: str):
     replaced, code = SPOILT_SEQUENCE[fault]
-    relax, core, taken = hurry(snapping, monkeypatch), snapping._core, Taken()
+    relax = hurry(snapping, monkeypatch) if code == "camera-timeout" else lambda: None
+    core, taken = snapping._core, Taken()
     snapping._core = Wrapped(core, **replaced)
     snapping.arm_free_run(None, taken)
     snapping._delivery.exception(PLENTY_S)

@@ -124,12 +124,12 @@ def test_the_picture_is_the_frame(server):
     with server.client() as instrument:
         instrument.command("ann", wait_s=PATIENCE_S)
         instrument.move(0.0)
-        page(server, "status.json")  # somebody looks from now on
+        seen_before = status(server)["picture"]  # of an earlier test; somebody looks from now on
         pixels, _ = instrument.snap()
 
         def shown():
             seen = status(server)["picture"]
-            return seen if seen is not None and seen["plane"] == -1 else None
+            return seen if seen is not None and seen != seen_before else None
 
         told = eventually(shown)
         grey = cv2.imdecode(np.frombuffer(page(server, "frame.jpg"), np.uint8), cv2.IMREAD_GRAYSCALE)
