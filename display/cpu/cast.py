@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from display.cpu import fast, over_rows
+from display.cpu import fast, inlined, over_rows
 from display.cpu.bricks import SIDE, Bricks
 
 if TYPE_CHECKING:
@@ -191,13 +191,13 @@ def brick_end(line: Line, k: int, brick: tuple[int, int, int]) -> int:
     return max(int(end), k + 1)
 
 
-@fast
+@inlined
 def at(padded: Array, line: Line, k: float) -> Any:
     """Return the interpolated value at a step, which need not be whole."""
     return trilinear(padded, line[3] + k * line[6], line[4] + k * line[7], line[5] + k * line[8])
 
 
-@fast
+@inlined
 def trilinear(padded: Array, x: float, y: float, z: float) -> Any:
     """Interpolate at a point given in indices of ``padded``."""
     i, j, k = np.uint32(x), np.uint32(y), np.uint32(z)
@@ -212,7 +212,7 @@ def trilinear(padded: Array, x: float, y: float, z: float) -> Any:
     return front + fz * (back - front)
 
 
-@fast
+@inlined
 def share(value: Any, numbers: Casting) -> Any:
     """Return a value as 0 to 1 between the limits."""
     return min(max((value - numbers.low) * numbers.per_value, 0.0), 1.0)
@@ -375,7 +375,7 @@ def first_opaque(table: Array) -> int:
     return int(table.shape[0])
 
 
-@fast
+@inlined
 def matter(v: float, ds: float, left: float, table: Array, lit: Array, line: Line, step: int, seen: Array) -> float:
     """Add the light of one step and return the share that comes through it."""
     place = v * 255

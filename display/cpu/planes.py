@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[Any]
 
+HAIR = 1e-4  # voxels outside that still count as inside
+
 
 def cut_planes(
     padded: Array,
@@ -55,66 +57,54 @@ def cut_planes(
 @fast
 def cut_rows(padded: Array, geometry: Array, scale: Array, planes: Array, first: int, last: int, seen: Array) -> None:
     """Cut the planes along the rays of some rows."""
-    voxel, eye = geometry[5], geometry[4]
-    ox, oy, oz = geometry[0]
     for j in range(first, last):
-        for i in range(seen.shape[1]):
-            x = ox + i * geometry[1, 0] + j * geometry[2, 0]
-            y = oy + i * geometry[1, 1] + j * geometry[2, 1]
-            z = oz + i * geometry[1, 2] + j * geometry[2, 2]
-            dx, dy, dz = geometry[3, 0], geometry[3, 1], geometry[3, 2]
-            if scale[3] > 0:
-                dx, dy, dz = x - eye[0], y - eye[1], z - eye[2]
-            reach = np.sqrt((dx * voxel[0]) ** 2 + (dy * voxel[1]) ** 2 + (dz * voxel[2]) ** 2)
-            nearest = -1.0 if scale[3] > 0 else -1e18
-            cut_ray(padded, geometry, scale, planes, (x, y, z), (dx, dy, dz), reach, nearest, seen[j, i])
+        for k in range(planes.shape[0]):
+            cut_row(padded, geometry, scale, planes, k, j, seen)
 
 
 @fast
-def cut_ray(
-    padded: Array,
-    geometry: Array,
-    scale: Array,
-    planes: Array,
-    start: tuple[float, float, float],
-    way: tuple[float, float, float],
-    reach: float,
-    nearest: float,
-    seen: Array,
-) -> None:
-    """Find the nearest plane along a ray that is not transparent there."""
-    best = 1e18
-    low, high = geometry[6], geometry[7]
-    for k in range(planes.shape[0]):
-        nx, ny, nz = planes[k, 0], planes[k, 1], planes[k, 2]
-        towards = nx * way[0] + ny * way[1] + nz * way[2]
+def cut_row(padded: Array, geometry: Array, scale: Array, planes: Array, number: int, j: int, seen: Array) -> None:
+    """Lay one plane into one row, where it is nearer than what is there and not transparent.
+
+    Nothing is taken apart into views or handed on: that is counted, and takes longer than the arithmetic.
+    """
+    nx, ny, nz, distance = planes[number, 0], planes[number, 1], planes[number, 2], planes[number, 3]
+    vx, vy, vz = geometry[5, 0], geometry[5, 1], geometry[5, 2]
+    perspective, smooth = scale[3] > 0, scale[4] > 0
+    for i in range(seen.shape[1]):
+        x = geometry[0, 0] + i * geometry[1, 0] + j * geometry[2, 0]
+        y = geometry[0, 1] + i * geometry[1, 1] + j * geometry[2, 1]
+        z = geometry[0, 2] + i * geometry[1, 2] + j * geometry[2, 2]
+        dx, dy, dz = geometry[3, 0], geometry[3, 1], geometry[3, 2]
+        if perspective:
+            dx, dy, dz = x - geometry[4, 0], y - geometry[4, 1], z - geometry[4, 2]
+        towards = nx * dx + ny * dy + nz * dz
         if abs(towards) < TINY:
             continue
-        t = (planes[k, 3] - nx * start[0] - ny * start[1] - nz * start[2]) / towards
-        x, y, z = (
-            start[0] + t * way[0] + planes[k, 4],
-            start[1] + t * way[1] + planes[k, 5],
-            start[2] + t * way[2] + planes[k, 6],
-        )
-        if nearest < t < best and within(x, y, z, low, high):
-            value = (value_at(padded, x + 1, y + 1, z + 1, scale[4]) - scale[0]) * scale[1]
+        t = (distance - nx * x - ny * y - nz * z) / towards
+        way = t * np.sqrt((dx * vx) ** 2 + (dy * vy) ** 2 + (dz * vz) ** 2)
+        if (perspective and t <= -1) or (seen[j, i, 2] > 0 and way >= seen[j, i, 1]):
+            continue
+        x, y, z = x + t * dx + planes[number, 4], y + t * dy + planes[number, 5], z + t * dz + planes[number, 6]
+        if within(x, y, z, geometry):
+            value = (value_at(padded, x + 1, y + 1, z + 1, smooth) - scale[0]) * scale[1]
             if value >= scale[2]:
-                best = t
-                seen[0], seen[1], seen[2], seen[3] = min(max(value, 0.0), 1.0), t * reach, 1.0, k
+                seen[j, i, 0], seen[j, i, 1] = min(max(value, 0.0), 1.0), way
+                seen[j, i, 2], seen[j, i, 3] = 1.0, number
 
 
 @fast
-def within(x: float, y: float, z: float, low: Array, high: Array) -> bool:
+def within(x: float, y: float, z: float, geometry: Array) -> bool:
     """Tell whether a point lies in what is shown; a hair's breadth outside still does."""
-    hair = 1e-4
-    inside_x = low[0] - hair <= x <= high[0] + hair
-    return bool(inside_x and low[1] - hair <= y <= high[1] + hair and low[2] - hair <= z <= high[2] + hair)
+    inside_x = geometry[6, 0] - HAIR <= x <= geometry[7, 0] + HAIR
+    inside_y = geometry[6, 1] - HAIR <= y <= geometry[7, 1] + HAIR
+    return bool(inside_x and inside_y and geometry[6, 2] - HAIR <= z <= geometry[7, 2] + HAIR)
 
 
 @fast
-def value_at(padded: Array, x: float, y: float, z: float, smooth: float) -> Any:
+def value_at(padded: Array, x: float, y: float, z: float, smooth: bool) -> Any:  # noqa: FBT001
     """Return the value at a point in indices of ``padded``, interpolated or that of the voxel it lies in."""
-    if smooth > 0:
+    if smooth:
         return trilinear(padded, x, y, z)
     depth, height, width = padded.shape
     i, j, k = int(x + 0.5), int(y + 0.5), int(z + 0.5)
