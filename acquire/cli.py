@@ -36,8 +36,8 @@ from acquire.session import (
     resumed_session,
     run_folder,
 )
-from acquire.standing import END
 from acquire.store import RunEnd, is_run, open_run
+from acquire.terminal import Terminal
 from acquire.useq_file import is_useq, read_useq
 from acquire.words import ranges, took
 from devices.clock import SystemClock
@@ -309,33 +309,21 @@ def _execute(
         ThreadPoolExecutor(1, "run") as engine,
         progress("planes", len(session.plan), quiet=quiet) as show,
     ):
+        terminal = Terminal(session.answer) if attended else None
         result = engine.submit(session.execute)
         while not result.done() or not events.empty():
+            if terminal is not None:
+                terminal.take_answers()
             try:
                 event = events.get(timeout=0.1)
             except queue.Empty:
                 continue
+            if terminal is not None:
+                terminal.heard(event)
             tell(event)
             if event["event"] == "plane":
                 show(session.status.taken)
-            elif event["event"] == "hold" and attended:
-                _ask_operator(session)
         return result.result()
-
-
-def _ask_operator(session: Session | RemoteSession) -> None:
-    """Put a question to the terminal until it is answered, or the run no longer asks it."""
-    while (question := session.status.question) is not None:
-        choices = "".join(f"  {choice:<10} {meaning}\n" for choice, meaning in question.answers.items())
-        sys.stderr.write(f"\nHOLD [{question.code}]: {question.words}\n{choices}? ")
-        sys.stderr.flush()
-        choice = sys.stdin.readline()
-        try:
-            session.answer(choice.strip() if choice else END)
-        except InputError as error:
-            sys.stderr.write(error.message() + "\n")
-        else:
-            return
 
 
 def _report(outcome: Outcome, tell: Callable[[dict[str, Any]], None]) -> int:

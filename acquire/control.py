@@ -162,9 +162,12 @@ class Control:
         """
         asked = {"code": question.code, "question": question.words, "answers": dict(question.answers)}
         self._note({"e": "hold", "section": self._board.section, **asked})
-        self._tell({"event": "hold", "section": self._board.section, **asked})
-        prepared = self._prepared and self._prepared[0] in question.answers
-        if not (prepared or self._attended):
+        prepared = bool(self._prepared) and self._prepared[0] in question.answers
+        asks = self._attended and not prepared
+        if asks:  # before it is told: who hears of it may answer at once
+            self._choice, self.question = None, question
+        self._tell({"event": "hold", "section": self._board.section, "asks": asks, **asked})
+        if not (prepared or asks):
             raise Held(question)
         choice = self._prepared.popleft() if prepared else self._wait_for_answer(question, solved)
         self._note({"e": "answer", "section": self._board.section, "code": question.code, "choice": choice})
@@ -174,7 +177,6 @@ class Control:
         return choice
 
     def _wait_for_answer(self, question: Question, solved: Callable[[], bool]) -> str:
-        self._choice, self.question = None, question
         self.enter(RunState.HOLD)
         while not (choice := self._answered(question, solved)):
             self._clock.sleep(WAIT_S)

@@ -7,6 +7,7 @@ import json
 import os
 import pty
 import shlex
+import signal
 import subprocess
 
 import pytest
@@ -95,30 +96,57 @@ def test_a_night_with_debris_a_jam_and_a_full_disk_is_complete_in_the_morning(st
     assert text.count("the run went on") == 2
 
 
+class AtTerminal:
+    """A run started by hand, on a bench whose knife jams."""
+
+    def __init__(self, start_bench, tmp_path):
+        instrument, recipe = files(tmp_path)
+        self.bench = homed(start_bench, instrument, "feed.jam")
+        self.folder = tmp_path / "run"
+        self.keyboard, terminal = pty.openpty()
+        command = [*PROGRAM, "run", recipe, "-i", self.bench.instrument, "--out", self.folder, "--yes", "--json"]
+        self.process = subprocess.Popen(
+            list(map(str, command)), stdin=terminal, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        os.close(terminal)
+
+    def type(self, words):
+        os.write(self.keyboard, words)
+
+    def events(self, name):
+        """The run's events of this name, as they come."""
+        return (event for line in self.process.stdout if (event := json.loads(line))["event"] == name)
+
+    def end(self):
+        """Exit code, and what was said."""
+        _, words = self.process.communicate()
+        os.close(self.keyboard)
+        return self.process.returncode, words
+
+
 def test_a_question_is_asked_and_answered_at_the_terminal(start_bench, tmp_path):
-    instrument, recipe = files(tmp_path)
-    bench = homed(start_bench, instrument, "feed.jam")
-    master, slave = pty.openpty()
-    command = [*PROGRAM, "run", recipe, "-i", bench.instrument, "--out", tmp_path / "run", "--yes", "--json"]
-    process = subprocess.Popen(
-        list(map(str, command)), stdin=slave, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    os.close(slave)
-    for line in process.stdout:
-        event = json.loads(line)
-        if event["event"] == "hold":
-            bench.ask(do="fault", clear="feed.jam")
-            os.write(master, b"perhaps\nnot-done\n")
-    words = process.stderr.read()
-    process.stderr.close()
-    process.stdout.close()
-    assert process.wait() == 0, words
-    os.close(master)
+    run = AtTerminal(start_bench, tmp_path)
+    run.type(b"done\n")  # typed before anything was asked: answers nothing
+    for _ in run.events("hold"):
+        run.bench.ask(do="fault", clear="feed.jam")
+        run.type(b"perhaps\nnot-done\n")
+    code, words = run.end()
+    assert code == 0, words
     assert "HOLD [knife-failed]" in words
     assert "not-done" in words
     assert "error[no-answer]" in words
-    assert open_run(tmp_path / "run").state is RunEnd.COMPLETED
-    assert cuts(bench) == 3
+    assert open_run(run.folder).state is RunEnd.COMPLETED
+    assert cuts(run.bench) == 3
+
+
+def test_ctrl_c_at_a_question_ends_the_run_without_an_answer(start_bench, tmp_path):
+    run = AtTerminal(start_bench, tmp_path)
+    next(run.events("hold"))
+    run.process.send_signal(signal.SIGINT)
+    code, words = run.end()
+    assert code == 130, words  # no plane was taken yet
+    assert open_run(run.folder).state is RunEnd.CANCELLED
+    assert cuts(run.bench) == 0
 
 
 def test_two_engines_do_not_share_an_instrument(start_bench, tmp_path):
