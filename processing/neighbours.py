@@ -105,8 +105,8 @@ def _ordered(steps: NDArray[Any], ratios: NDArray[np.float64], *, by_plane: bool
     return Neighbours(steps[order].astype(np.int64), distances[order], by_plane)
 
 
-def _ratios(spacing_um: Spacing) -> NDArray[np.float64]:
-    """Return the spacing in units of the pixel size in the plane."""
+def checked_spacing(spacing_um: Spacing) -> Spacing:
+    """Return the spacing; raise `InputError` ``spacing`` where one is not above zero."""
     spacing = np.asarray(spacing_um, np.float64)
     if spacing.shape != (3,) or not np.all(np.isfinite(spacing)) or np.any(spacing <= 0):
         raise InputError(
@@ -114,5 +114,11 @@ def _ratios(spacing_um: Spacing) -> NDArray[np.float64]:
             fix="give (z, y, x), each above zero.",
             code="spacing",
         )
+    return float(spacing[0]), float(spacing[1]), float(spacing[2])
+
+
+def _ratios(spacing_um: Spacing) -> NDArray[np.float64]:
+    """Return the spacing in units of the pixel size in the plane."""
+    spacing = np.asarray(checked_spacing(spacing_um))
     ratios: NDArray[np.float64] = spacing / np.sqrt(spacing[1] * spacing[2])
     return ratios

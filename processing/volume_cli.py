@@ -21,7 +21,7 @@ from processing.outputs import about_stack, peak_memory_mb, versions, write_dura
 from processing.pictures import png_bytes
 from processing.pipeline import Pipeline, Step
 from processing.resample import mean_step
-from processing.result_folder import check_results, json_bytes
+from processing.result_folder import check_results, json_bytes, plain
 from processing.stack import Stack, open_stack
 from processing.volume_files import middle_cuts, publish, volume_names, write_volume
 
@@ -88,6 +88,7 @@ def volume(
         "spacing_um": spacing_um,
         "notes": [*stack.notes, *notes],
         "results": {name: summed_up(layers[name]) for name in made},
+        "values": {name: layers[name] for name in values_made(pipeline)},
         "seconds": round(SystemClock().now() - begin, 3),
         "peak_memory_mb": round(peak_memory_mb(), 1),
         "versions": versions(),
@@ -96,7 +97,7 @@ def volume(
     publish(output, lambda part: write_all(part, {name: layers[name] for name in made}, stack, spacing_um, report))
     for note in [] if quiet else report["notes"]:
         sys.stderr.write(f"note: {note}\n")
-    sys.stdout.write(notation.dumps(report, ensure_ascii=False) + "\n" if json else summary(report, output))
+    sys.stdout.write(notation.dumps(plain(report), ensure_ascii=False) + "\n" if json else summary(report, output))
     return 0
 
 
@@ -126,6 +127,12 @@ def _checked(pipeline: Pipeline) -> Pipeline:
 def volumes_made(pipeline: Pipeline) -> list[str]:
     """Return the layers of the volume's shape that the steps make, in order."""
     made = [layer.name for step in pipeline.steps for layer in step.operator.gives if layer.shape == "volume"]
+    return list(dict.fromkeys(made))
+
+
+def values_made(pipeline: Pipeline) -> list[str]:
+    """Return the layers that are single numbers, such as a threshold that was found, in order."""
+    made = [layer.name for step in pipeline.steps for layer in step.operator.gives if not layer.shape and layer.dtype]
     return list(dict.fromkeys(made))
 
 
@@ -173,4 +180,5 @@ def summary(report: dict[str, Any], folder: Path) -> str:
         f"{name}: {'×'.join(map(str, r['shape']))} {r['dtype']}, {r['min']:.4g} … {r['max']:.4g}, mean {r['mean']:.4g}"
         for name, r in report["results"].items()
     ]
+    told += [f"{name}: {value:.6g}" for name, value in report["values"].items()]
     return "\n".join([*told, *(str(folder / name) for name in report["files"])]) + "\n"

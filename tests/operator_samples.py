@@ -80,10 +80,22 @@ def noisy_volume() -> Layers:
     return {"volume": grey, "spacing_um": (1.0, 0.5, 0.5), "pattern": grey[2:5, 3:6, 4:7].copy()}
 
 
+def holed_mask() -> Layers:
+    """A block with a hole and a speck beside it, voxels twice as deep as wide."""
+    mask = np.zeros((8, 10, 12), np.uint8)
+    mask[1:7, 2:8, 1:9] = 255
+    mask[3:5, 4:6, 4:6] = 0
+    mask[2, 9, 11] = 255
+    return {"volume": mask, "spacing_um": (1.0, 0.5, 0.5)}
+
+
 FILTERS = ("entropy", "frei_chen", "gradient", "median", "rank", "sobel", "template", "variance")
+MASKS = ("mask.fill_holes", "label.components", "distance.map")
 
 SAMPLES: dict[str, Sample] = {
     **{f"filter.{name}": lambda: (noisy_volume(), {}) for name in FILTERS},
+    **{name: lambda: (holed_mask(), {}) for name in MASKS},
+    "mask.threshold": lambda: (noisy_volume(), {"method": "li"}),
     "deblur.psf": lambda: (
         {"spacing_um": (0.3, 0.1, 0.1)},
         {"na": 0.9, "wavelength_um": 0.5, "planes": 5, "side_px": 9},
@@ -102,6 +114,11 @@ SAMPLES: dict[str, Sample] = {
 }
 
 REFERENCES: dict[str, Callable[[Layers, dict[str, Any]], Layers]] = {
+    "distance.map": lambda layers, params: {
+        "volume": ndimage.distance_transform_edt(layers["volume"], sampling=layers["spacing_um"])
+    },
+    "label.components": lambda layers, params: {"volume": ndimage.label(layers["volume"], np.ones((3, 3, 3)))[0]},
+    "mask.fill_holes": lambda layers, params: {"volume": 255 * ndimage.binary_fill_holes(layers["volume"])},
     "range.median": lambda layers, params: {
         "range": ndimage.median_filter(layers["range"], params["side_px"], mode="nearest")
     },
