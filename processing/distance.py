@@ -49,11 +49,12 @@ def distance(
     inside = as_mask(volume)
     spacing = checked_spacing(spacing_um or CUBIC)
     if signed:
-        return np.asarray(_to_nearest(inside, spacing) - _to_nearest(~inside, spacing), np.float32)
-    return _to_nearest(~inside if outside else inside, spacing)
+        return np.asarray(to_nearest(inside, spacing) - to_nearest(~inside, spacing), np.float32)
+    return to_nearest(~inside if outside else inside, spacing)
 
 
-def _to_nearest(inside: NDArray[np.bool_], spacing: Spacing) -> NDArray[np.float32]:
+def to_nearest(inside: NDArray[np.bool_], spacing: Spacing) -> NDArray[np.float32]:
+    """Return the distance from every voxel inside to the nearest one outside; raises `InputError` ``mask-full``."""
     if inside.all():
         raise InputError(
             "the mask fills the whole volume or, seen from outside, nothing of it: no distance has an end.",

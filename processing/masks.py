@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import fill_voids
 import numpy as np
 
@@ -144,3 +145,65 @@ def fill_holes(volume: Array, *, by_plane: bool = False) -> Array:
     parts = list(inside) if by_plane else [inside]
     filled = [fill_voids.fill(part) for part in parts]
     return to_mask(np.stack(filled) if by_plane else np.ascontiguousarray(filled[0]))
+
+
+@operator("mask.central", gives=[Layer("volume", "volume", "volume"), Layer("mask", "volume", "uint8")])
+def central(
+    volume: Array, *, method: str = "otsu", above: float | None = None, neck_px: float = 3.0, centre: float = 0.25
+) -> tuple[Array, Array]:
+    """In every plane only the largest bright feature near the middle, as a brain within its skull; all else is 0.
+
+    Plane by plane: what is brighter than the threshold is opened by ``neck_px``, so that bridges break; of its parts
+    that with the greatest area counts, area far from the middle counting less; its edge is given back, its holes are
+    filled.
+
+    Parameters
+    ----------
+    volume : array (z, y, x)
+        Grey values.
+    method : str
+        How the threshold, one for all planes, is found where none is given, as of `threshold`.
+    above : float, optional
+        The threshold.
+    neck_px : float
+        Radius of what breaks bridges; 0 breaks none.
+    centre : float
+        How far from the middle of the frame area counts less: standard deviation of a Gaussian, as a share of height
+        and width.
+
+    Returns
+    -------
+    volume : array (z, y, x)
+        The grey values inside, 0 outside.
+    mask : array (z, y, x) uint8
+        255 inside, 0 outside; all 0 in planes where nothing is bright.
+
+    Raises
+    ------
+    InputError
+        ``threshold``, ``operator-params``, ``volume-shape``, ``volume-nan``.
+    """
+    grey = checked(volume)
+    bright = threshold(grey, method=method, above=above)[0]
+    y, x = ((np.arange(n) - (n - 1) / 2) / (centre * n) for n in grey.shape[1:])
+    near = np.exp(-(y[:, None] ** 2 + x**2) / 2)
+    reach = int(np.ceil(neck_px))
+    disc = (np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]) <= neck_px).astype(np.uint8)
+    mask = np.stack([_central_part(plane, disc, near) for plane in bright])
+    return np.where(mask > 0, grey, grey.dtype.type(0)), mask
+
+
+def _central_part(bright: Mask, disc: Mask, near: NDArray[np.float64]) -> Mask:
+    """Return the part of a plane's mask in which most of the weights ``near`` lie."""
+    padded: Any = np.pad(bright, len(disc), mode="edge")
+    inner = (slice(len(disc), -len(disc)),) * 2
+    cut = cv2.morphologyEx(padded, cv2.MORPH_OPEN, disc)
+    count, parts = cv2.connectedComponents(cut, connectivity=4)
+    if count == 1:
+        return np.zeros_like(bright)
+    weight = np.bincount(parts[inner].ravel(), near.ravel(), count)
+    weight[0] = -1
+    part = np.uint8(INSIDE) * (parts == weight.argmax()).astype(np.uint8)
+    whole = (cv2.dilate(part, disc) & padded)[inner]
+    filled: Mask = to_mask(fill_voids.fill(np.ascontiguousarray(whole > 0)))
+    return filled

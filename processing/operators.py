@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     Halo = Callable[[Mapping[str, Any]], tuple[int, ...]]
 
 GROUP = "stereotome.operators"
-STAND_INS = {"Array": np.ndarray, "NDArray": np.ndarray}  # annotations of arrays are made for type checkers alone
+# What annotations name that is imported for type checkers alone.
+STAND_INS = {"Array": np.ndarray, "NDArray": np.ndarray, "Spacing": tuple[float, float, float]}
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Layer:
     name : str
         Under which it is filed.
     shape : str
-        The input whose shape it has; empty where it has one of its own.
+        The input whose shape it has, one of bands without their axis; empty where it has a shape of its own.
     dtype : str
         Its numpy type, or the input whose type it has; empty where that depends on the parameters.
     """

@@ -7,7 +7,7 @@ from itertools import product
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -39,6 +39,14 @@ def tiles(shape: Sequence[int], side: Sequence[int], halo: Sequence[int]) -> Ite
     spans = [_spans(*axis) for axis in zip(shape, side, halo, strict=True)]
     for picked in product(*spans):
         yield Tile(*(tuple(boxes) for boxes in zip(*picked, strict=True)))
+
+
+def cut(layers: Mapping[str, Any], box: Box, shape: Sequence[int]) -> dict[str, Any]:
+    """Cut a part out of all layers whose last axes are those of ``shape``; the others stay whole."""
+    return {
+        name: value[(..., *box)] if tuple(getattr(value, "shape", ())[-len(box) :]) == tuple(shape) else value
+        for name, value in layers.items()
+    }
 
 
 def _spans(length: int, side: int, halo: int) -> list[tuple[slice, slice, slice]]:

@@ -33,7 +33,7 @@ ENTROPY_LEVELS = 64
 def checked(volume: Array, types: tuple[str, ...] = TYPES) -> Array:
     """Return the volume as one of the types that kernels are compiled for, (z, y, x), contiguous.
 
-    Other number types become float32.
+    True and False become 1 and 0 of 8 bit, other number types float32.
 
     Raises
     ------
@@ -46,7 +46,8 @@ def checked(volume: Array, types: tuple[str, ...] = TYPES) -> Array:
             fix="choose one band: --channel N",
             code="volume-shape",
         )
-    taken = volume if volume.dtype.name in types else volume.astype(np.float32)
+    counted = volume.view(np.uint8) if volume.dtype == np.bool_ else volume
+    taken = counted if counted.dtype.name in types else counted.astype(np.float32)
     if taken.dtype.kind == "f" and not np.isfinite(taken).all():
         wrong = np.count_nonzero(~np.isfinite(taken))
         raise InputError(
@@ -208,7 +209,7 @@ def sobel(volume: Array, spacing_um: Spacing | None = None) -> Array:
     """
     grey = checked(volume)
     out = np.empty(grey.shape, np.float32)
-    kernels.sobel_magnitude_rows(grey, _per_um(spacing_um), out)
+    kernels.sobel_magnitude_rows(grey, per_um(spacing_um), out)
     return out
 
 
@@ -233,13 +234,14 @@ def gradient(volume: Array, spacing_um: Spacing | None = None) -> tuple[Array, A
     """
     grey = checked(volume)
     parts = np.empty((3, *grey.shape), np.float32)
-    kernels.sobel_rows(grey, _per_um(spacing_um), parts)
+    kernels.sobel_rows(grey, per_um(spacing_um), parts)
     dz, dy, dx = parts
     flat = np.hypot(dx, dy)
     return np.hypot(flat, dz), np.degrees(np.arctan2(dy, dx)), np.degrees(np.arctan2(dz, flat))
 
 
-def _per_um(spacing_um: Spacing | None) -> NDArray[np.float32]:
+def per_um(spacing_um: Spacing | None) -> NDArray[np.float32]:
+    """Return by what the sums of the Sobel operator along each axis are multiplied; 0 along z for distant planes."""
     spacing = spacing_um or CUBIC
     scale = np.array([1 / (SOBEL_SUM * s) for s in spacing], np.float32)
     if neighbours(26, spacing).by_plane:

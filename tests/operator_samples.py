@@ -89,13 +89,30 @@ def holed_mask() -> Layers:
     return {"volume": mask, "spacing_um": (1.0, 0.5, 0.5)}
 
 
+def two_bands() -> Layers:
+    """Two bands of the same step, one of them brighter."""
+    rng = np.random.default_rng(4)
+    step = np.where(np.arange(12) < 6, 20, 90)
+    bands = [rng.integers(0, 9, (5, 8, 12)) + step, rng.integers(0, 9, (5, 8, 12)) + 2 * step]
+    return {"bands": np.array(bands).astype(np.uint16), "spacing_um": (1.0, 0.5, 0.5)}
+
+
+MORPHOLOGY = ("erode", "dilate", "open", "close", "gradient", "top_hat")
 FILTERS = ("entropy", "frei_chen", "gradient", "median", "rank", "sobel", "template", "variance")
-MASKS = ("mask.fill_holes", "label.components", "distance.map")
+MASKS = ("mask.fill_holes", "label.components", "distance.map", "watershed.split")
 
 SAMPLES: dict[str, Sample] = {
     **{f"filter.{name}": lambda: (noisy_volume(), {}) for name in FILTERS},
     **{name: lambda: (holed_mask(), {}) for name in MASKS},
     "mask.threshold": lambda: (noisy_volume(), {"method": "li"}),
+    **{f"morphology.{name}": lambda: (noisy_volume(), {"rule": 18}) for name in MORPHOLOGY},
+    "mask.central": lambda: (noisy_volume(), {"neck_px": 1.0}),
+    "grow.region": lambda: (holed_mask(), {"seed": (2, 3, 2), "tolerance": 10.0}),
+    "grow.balloon": lambda: (holed_mask(), {"seed": (2, 3, 2), "low": 1.0, "high": 255.0, "stiffness_px": 1.0}),
+    "bands.calculate": lambda: (two_bands(), {"formula": "(b0-b1)/(b0+b1)"}),
+    "bands.ratio": lambda: (two_bands(), {"background": (10.0, 10.0)}),
+    "bands.principal": lambda: (two_bands(), {}),
+    "bands.boundaries": lambda: (two_bands(), {"weights": (1.0, 2.0)}),
     "deblur.psf": lambda: (
         {"spacing_um": (0.3, 0.1, 0.1)},
         {"na": 0.9, "wavelength_um": 0.5, "planes": 5, "side_px": 9},
