@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from acquire.ring import RingFull, RingReader, RingWriter, WriterGone
-from acquire.store import free_bytes
+from acquire.store import SIDE_BY_SIDE, free_bytes
 from devices.errors import StereotomeError, StoreError
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from acquire.frame import Frame, FrameHeader, Missed
+    from acquire.frame import FrameHeader, Missed
     from acquire.store import RunEnd, RunStore
     from acquire.verdict import SectionPlanes
     from devices.protocols import Clock
@@ -161,22 +161,16 @@ class Recorder:
         except WriterGone:
             return False
         if frame is not None:
-            self._put_twice(frame)
+            self._store.put(frame)
             self._reader.release()
             self._stored += 1
-        if not self._reader.unread or self._store.pending >= GROUP:
-            self._store.commit()
+        more = self._reader.unread
+        if not more or self._store.pending >= GROUP + SIDE_BY_SIDE:
+            self._store.commit(leave=SIDE_BY_SIDE if more else 0)
             with self._settled:
-                self._durable = self._stored
+                self._durable = self._stored - self._store.pending
                 self._settled.notify_all()
         return True
-
-    def _put_twice(self, frame: Frame) -> None:
-        """Store a frame; a disk that refuses is asked once more, at the same place."""
-        try:
-            self._store.put(frame)
-        except (OSError, ValueError):
-            self._store.put(frame)
 
 
 class _Durable:

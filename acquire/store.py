@@ -11,8 +11,10 @@ import json
 import os
 import shutil
 import zlib
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
@@ -27,6 +29,7 @@ from devices.errors import InputError, StoreError
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
+    from concurrent.futures import Future
     from pathlib import Path
     from typing import Self
 
@@ -35,6 +38,7 @@ if TYPE_CHECKING:
 FORMAT = "stereotome-run"
 FORMAT_VERSION = 1
 LAST_WORDS, LAST_WORDS_BYTES = "room-for-last-words", 32_768
+SIDE_BY_SIDE, SIDE_BY_SIDE_BYTES = 4, 128 << 20  # planes in writing at one time, and what they may hold of memory
 INLINE_PLANES = 2000  # above this the table of planes lives in planes.csv and the journal alone
 
 
@@ -134,6 +138,8 @@ class RunStore:
         self._layout = layout
         self._name = name
         self._image = folder / "focal.ome.zarr"
+        self._writers = ThreadPoolExecutor(SIDE_BY_SIDE, "plane")
+        self._under_way: deque[Future[PlaneRecord]] = deque()
         self._pending: list[PlaneRecord] = []
         self._records: dict[int, PlaneRecord] = {}
         self._published = 0
@@ -189,26 +195,44 @@ class RunStore:
         return self._layout
 
     def put(self, frame: Frame) -> None:
-        """Write one plane, read it back and compare; it counts as durable from the next `commit` on."""
-        crc, slot = checksum(frame.pixels), self._layout.slot_of(frame.header)
-        self._files.write(slot, frame.pixels)
+        """Begin to write one plane; it counts as durable from the next `commit` on, where what failed is raised.
+
+        Several planes are written side by side: while the disk confirms one, the next is compressed.
+        """
+        self._under_way.append(self._writers.submit(self._write, frame.header, np.array(frame.pixels)))
+        self._collect(leave=max(1, min(SIDE_BY_SIDE, SIDE_BY_SIDE_BYTES // frame.pixels.nbytes)))
+
+    def _collect(self, *, leave: int) -> None:
+        while len(self._under_way) > leave:
+            self._pending.append(self._under_way.popleft().result())
+
+    def _write(self, header: FrameHeader, pixels: np.ndarray) -> PlaneRecord:
+        """Write one plane, read it back and compare; a disk that refuses is asked once more, at the same place."""
+        crc, slot = checksum(pixels), self._layout.slot_of(header)
+        try:
+            self._files.write(slot, pixels)
+        except (OSError, ValueError):
+            self._files.write(slot, pixels)
         if checksum(self._files.read(slot)) != crc:
             raise StoreError(
-                f"plane {frame.header.plane} reads back differently from what was written to {self.folder}.",
+                f"plane {header.plane} reads back differently from what was written to {self.folder}.",
                 why="The disk or the memory is failing.",
                 fix="stop using this disk; the planes before are verified: --out DIR on another one",
                 code="verify-failed",
             )
-        header = FrameHeader(**{**asdict(frame.header), "crc32": crc})
-        self._pending.append(PlaneRecord(header, frame.pixels.nbytes))
+        return PlaneRecord(replace(header, crc32=crc), pixels.nbytes)
 
     @property
     def pending(self) -> int:
-        """Planes written but not committed yet."""
-        return len(self._pending)
+        """Planes put but not committed yet."""
+        return len(self._under_way) + len(self._pending)
 
-    def commit(self) -> None:
-        """Write the journal records of all pending planes, then publish the new shape."""
+    def commit(self, *, leave: int = 0) -> None:
+        """Add the journal records of all pending planes, then publish the new shape.
+
+        The ``leave`` put last may still be under way, and stay pending.
+        """
+        self._collect(leave=leave)
         if not self._pending:
             return
         self.journal.append(*({"e": "plane", "nbytes": r.nbytes, **asdict(r.header)} for r in self._pending))
@@ -277,6 +301,8 @@ class RunStore:
 
     def abandon(self, reason: str) -> None:
         """End a run whose disk failed: nothing pending is trusted, and the END record is written if it can be."""
+        self._writers.shutdown(cancel_futures=True)
+        self._under_way.clear()
         self._pending.clear()
         with suppress(OSError):
             _give_room(self.folder)
@@ -298,6 +324,7 @@ class RunStore:
 
     def close(self) -> None:
         """Close the journal. Without an END record the run is INTERRUPTED."""
+        self._writers.shutdown(cancel_futures=True)
         self.journal.close()
 
 

@@ -235,7 +235,7 @@ def test_an_answer_has_to_be_one(bench):
 
     bench.on["hold"] = answer
     bench.run()
-    assert said == ["no-question"]  # it is told before it is asked
+    assert said == ["no-answer"]
     with pytest.raises(InputError):
         bench.session.answer("again")
 
