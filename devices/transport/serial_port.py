@@ -55,19 +55,20 @@ class SerialPort:
         """Return what has arrived; waits at most ``READ_SLICE_S`` for the first byte, not at all for ``wait_s`` 0.
 
         A closed pty or an unplugged adapter shows as "ready but no data", as EIO, or, from ``in_waiting``, as a bare
-        OSError: all of them mean that the port is gone.
+        OSError; a port that another thread closed meanwhile as a TypeError of pyserial's: all of them mean that the
+        port is gone.
         """
         try:
             first = self._port.read(1) if wait_s > 0 else b""
             return first + self._port.read(self._port.in_waiting)
-        except OSError as cause:
+        except (OSError, TypeError) as cause:
             raise self._lost(cause) from cause
 
     def close(self) -> None:
         """Release the port."""
         self._port.close()
 
-    def _lost(self, cause: OSError) -> LinkLost:
+    def _lost(self, cause: Exception) -> LinkLost:
         return LinkLost(
             f"{self._device}: the connection over {self.name} broke.",
             why=str(cause),

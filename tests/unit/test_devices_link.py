@@ -1,15 +1,19 @@
 """The link: it drains before it asks again, sends once what must not be repeated, and lets a halt through."""
 
+import os
+import pty
 import threading
 from collections import deque
+from contextlib import closing
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.errors import DeviceError, MalformedReply, NoReply, Refused
+from devices.errors import DeviceError, LinkLost, MalformedReply, NoReply, Refused
 from devices.link import Link
 from devices.transport.loopback import Loopback
+from devices.transport.serial_port import SerialPort
 from devices.transport.transcript import Recorder, Replay
 from devices.wire import asi
 from devices.wire.exchange import Request, no_reply
@@ -271,3 +275,13 @@ def test_a_move_is_not_sent_again_after_a_halt():
     asking.join(10)
     assert codes == ["device-halted"]
     assert sent.count(b"M Z=5\r") == 1
+
+
+def test_a_port_closed_by_another_thread_is_a_lost_link():
+    master, slave = pty.openpty()
+    with closing(os.fdopen(master, "rb")), closing(os.fdopen(slave, "rb")):
+        port = SerialPort(os.ttyname(slave), 115200, device="z stage")
+        port.close()
+        for use in (lambda: port.read(0), lambda: port.read(0.01), lambda: port.write(b"W Z\r")):
+            with pytest.raises(LinkLost, match="z stage"):
+                use()

@@ -69,7 +69,7 @@ def test_observer_writes_what_the_command_writes(tmp_path, method, bands):
     bench = Bench(tmp_path, bands)
     out = bench.folder / "focus"
     observer = Observer("focus", bench.ring.path, bench.folder, out, {"method": method})
-    assert observer.wait_until_ready(60)
+    assert observer.wait_until_ready(200)
     for k, pixels in enumerate(pictures(bands)):  # at full speed: the observer overlooks some of them
         bench.show(k, pixels)
     bench.end()
