@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from acquire.ring import RingReader, WriterGone
+from acquire.ring import WriterGone
 from acquire.store import open_run
 from devices.clock import SystemClock
 from processing.focus import FocusResult, FocusSweep, focus_stack
 from processing.outputs import about_stack, peak_memory_mb, write_focus_result
 from processing.stack import open_stack
-from processing.watchers import LOOK_S, wait_for_end
+from processing.watchers import LOOK_S, joined, wait_for_end
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from acquire.frame import Frame
+    from acquire.ring import RingReader
     from acquire.store import StoredRun
     from devices.protocols import Clock
     from processing.focus_tracks import Options
@@ -184,11 +185,12 @@ def follow_run(
     InputError
         The run ended without a plane.
     """
-    with RingReader.attach(ring, "latest", clock=clock) as reader:
+    with joined(ring, clock) as reader:
         live = LiveFocus(open_run(folder), options)
         warm(live.run, options)
         ready()
-        follow(reader, live)
+        if reader is not None:
+            follow(reader, live)
     last_s = clock.now()
     result = live.result()
     if result is None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol
 
 import cv2
@@ -20,9 +21,10 @@ from acquire.ome_zarr import sync_folder
 from acquire.ring import RingReader, WriterGone
 from acquire.store import RunEnd, open_run
 from devices.clock import SystemClock
+from devices.errors import StoreError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
     from acquire.frame import FrameHeader
@@ -179,6 +181,26 @@ def reslice(ring: Path, run: Path, out: Path, options: dict[str, Any], ready: Ca
     watch(ring, run, out, ready, Reslice)
 
 
+@contextmanager
+def joined(ring: Path, clock: Clock) -> Iterator[RingReader | None]:
+    """Join a run's ring; None when it is gone, because the run was over before: then everything is on the disk.
+
+    Raises
+    ------
+    StoreError
+        It is no ring of this version, or has no room for another reader.
+    """
+    try:
+        reader = RingReader.attach(ring, "latest", clock=clock)
+    except StoreError:
+        if ring.exists():
+            raise
+        yield None
+    else:
+        with reader:
+            yield reader
+
+
 def watch(
     ring: Path, folder: Path, out: Path, ready: Callable[[], None], make: Callable[[StoredRun], Collector]
 ) -> None:
@@ -187,9 +209,9 @@ def watch(
     run = open_run(folder)
     collector = make(run)
     seen: dict[int, int] = {}
-    with RingReader.attach(ring, "latest", clock=clock) as reader:
+    with joined(ring, clock) as reader:
         ready()
-        while True:
+        while reader is not None:
             try:
                 frame = reader.read(LOOK_S)
             except WriterGone:

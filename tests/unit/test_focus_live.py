@@ -153,3 +153,14 @@ def test_run_without_a_plane_is_said(tmp_path):
             ready=lambda: bench.end(RunEnd.CANCELLED),
             clock=SystemClock(),
         )
+
+
+def test_an_observer_that_comes_after_the_run_measures_it_from_the_disk(tmp_path):
+    bench = Bench(tmp_path)
+    for k, pixels in enumerate(pictures()):
+        bench.show(k, pixels)
+    bench.end()
+    found, _ = follow_run(
+        bench.ring.path, bench.folder, options={"method": "brightfield"}, ready=lambda: None, clock=SystemClock()
+    )
+    np.testing.assert_array_equal(found.range, from_disk(bench.folder).range)

@@ -18,7 +18,7 @@ from acquire.ome_zarr import FocalArray
 from acquire.ring import RingReader, RingWriter
 from acquire.store import RunEnd, RunStore
 from devices.clock import SystemClock
-from devices.errors import PlanError
+from devices.errors import PlanError, StoreError
 from processing import watchers
 
 if TYPE_CHECKING:
@@ -114,3 +114,18 @@ def test_an_observer_that_dies_or_stands_still_is_dropped_and_said(tmp_path, sig
 def test_an_unknown_observer_is_refused():
     with pytest.raises(PlanError, match="no observer is called 'statistic'"):
         known_observer("statistic")
+
+
+def test_an_observer_that_comes_after_the_run_has_every_plane_from_the_disk(tmp_path):
+    run = Watched(tmp_path)
+    run.take_all()
+    known_observer("statistics").load()(run.ring.path, run.folder, tmp_path / "out", {}, lambda: None)
+    assert len(rows(tmp_path / "out" / "statistics.csv")) == PLANES
+
+
+def test_what_is_no_ring_is_said(tmp_path):
+    run = Watched(tmp_path)
+    run.take_all()
+    (tmp_path / "x.ring").write_bytes(b"something else")
+    with pytest.raises(StoreError, match="not a frame ring"):
+        known_observer("statistics").load()(tmp_path / "x.ring", run.folder, tmp_path / "out", {}, lambda: None)
