@@ -20,15 +20,12 @@ ROWS = 16  # of a picture, done by one thread at a time
 
 
 def fast(function: Function) -> Function:
-    """Compile to machine code that frees the interpreter and may reorder sums; kept on disk."""
-    made = numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")(function)
-    return as_type("Function", made)
+    """Compile to machine code that frees the interpreter, may reorder sums, and makes no arrays; kept on disk.
 
-
-def inlined(function: Function) -> Function:
-    """Put a function's text in the place of its calls: handing arrays on is counted, which costs more than a sample."""
-    made = numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy", inline="always")(function)
-    return as_type("Function", made)
+    Arrays that are handed on are not counted (``_nrt``): counting takes longer than a sample.
+    """
+    options: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": True, "error_model": "numpy", "_nrt": False}
+    return as_type("Function", numba.njit(**options)(function))
 
 
 @cache

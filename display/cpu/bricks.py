@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[Any]
 
-SIDE = 16
+SIDE = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,7 @@ class Bricks:
     padded : array (z + 2, y + 2, x + 2)
         The outermost voxels are there twice, so that no sample inside the volume needs a look at its borders.
     low, high : array (bz, by, bx)
-        Extremes of all values that samples in a brick of 16³ can touch; brick 0 begins at index 0 of ``padded``.
+        Extremes of all values that samples in a brick of 8³ can touch; brick 0 begins at index 0 of ``padded``.
     """
 
     padded: Array

@@ -105,7 +105,7 @@ def within(x: float, y: float, z: float, geometry: Array) -> bool:
 def value_at(padded: Array, x: float, y: float, z: float, smooth: bool) -> Any:  # noqa: FBT001
     """Return the value at a point in indices of ``padded``, interpolated or that of the voxel it lies in."""
     if smooth:
-        return trilinear(padded, x, y, z)
+        return trilinear(padded, np.float32(x), np.float32(y), np.float32(z))
     depth, height, width = padded.shape
     i, j, k = int(x + 0.5), int(y + 0.5), int(z + 0.5)
     return np.float32(padded[min(max(k, 1), depth - 2), min(max(j, 1), height - 2), min(max(i, 1), width - 2)])

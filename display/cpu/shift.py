@@ -46,7 +46,10 @@ def shifted_maximum(values: Array, slope: tuple[float, float], *, whole: bool) -
     else:
         found = np.zeros(shape, np.float32)
         moved = offsets + rim
-        over_rows(shape[0], lambda first, last: blend_brightest(values, moved, found, first, last))
+        over_rows(
+            shape[0],
+            lambda first, last: blend_brightest(values, moved, found, first, last, np.empty(width, np.float32)),
+        )
     return found, (-int(rim[0]), -int(rim[1]))
 
 
@@ -62,10 +65,9 @@ def keep_brightest(values: Array, starts: Array, found: Array, first: int, last:
 
 
 @fast
-def blend_brightest(values: Array, moved: Array, found: Array, first: int, last: int) -> None:
-    """Keep the brightest of all planes, interpolated, in some rows of the result."""
+def blend_brightest(values: Array, moved: Array, found: Array, first: int, last: int, row: Array) -> None:
+    """Keep the brightest of all planes, interpolated, in some rows of the result; ``row`` is room for one."""
     depth, height, width = values.shape
-    row = np.empty(width, np.float32)
     for k in range(depth):
         x, y = int(np.floor(moved[k, 0])), int(np.floor(moved[k, 1]))
         fx, fy = np.float32(moved[k, 0] - x), np.float32(moved[k, 1] - y)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from reference import Reference
 
-from display.light import linear_of
+from display.light import encoded_share, linear_of
 from display.modes import find_mode
 from display.modes.projections import local_deviation
 from display.resolve import camera, light_vector
@@ -158,8 +158,8 @@ def test_the_steepest_change_is_found_on_the_wall_of_a_box(renderer):
 def test_extremes_agree_with_the_reference(renderer, view, mode):
     scene = grey(volume_of(noise()), mode, view)
     seen = Reference(scene.layers[0].data, camera(scene, SIZE), 1.0)
-    expected = linear_of(seen.maximum() if mode == "mip" else seen.minimum())
-    assert_within(levels(renderer, scene), expected)
+    expected = seen.maximum() if mode == "mip" else seen.minimum()
+    assert_within(renderer, encoded_share(levels(renderer, scene)), expected)
 
 
 @pytest.mark.parametrize("view", [ASKEW, NEAR])
@@ -171,7 +171,7 @@ def test_emission_and_absorption_agree_with_the_reference(renderer, view):
     )
     table = transfer_table(scene.layers[0].data.bands[0], transfer, 1.0)
     light, _ = Reference(scene.layers[0].data, camera(scene, SIZE), 1.0).translucent(table.astype(float))
-    assert_within(renderer.draw(scene, SIZE), light)
+    assert_within(renderer, renderer.draw(scene, SIZE), light)
 
 
 def test_leaping_over_empty_bricks_changes_nothing(renderers):
@@ -288,9 +288,10 @@ def test_local_deviation_is_that_of_27_voxels():
     assert local_deviation(values)[2, 3, 3] == pytest.approx(values[1:4, 2:5, 2:5].std(), rel=1e-4)
 
 
-def assert_within(shown, expected):
-    """Within the tolerances of a caster of 8-bit weights: 99.9 % in 2 grey levels, all in 5, 0.35 on average."""
+def assert_within(renderer, shown, expected):
+    """The processor within half a grey level; weights of 8 bits: 99.9 % within 2, all within 4, 0.35 on average."""
     error = np.abs(np.clip(shown, 0, 1) - np.clip(expected, 0, 1)) * 255
-    assert np.percentile(error, 99.9) <= 4
-    assert error.mean() <= 0.5
-    assert error.max() <= 6
+    exact = renderer.canvas.executor == "cpu"
+    assert np.percentile(error, 99.9) <= (0.5 if exact else 2)
+    assert error.max() <= (0.5 if exact else 4)
+    assert error.mean() <= (0.1 if exact else 0.35)
