@@ -13,6 +13,7 @@
 from __future__ import annotations
 
 import getpass
+import json
 import threading
 from typing import TYPE_CHECKING, TypeVar
 
@@ -25,6 +26,7 @@ from acquire.meeting import CHANNELS, Meeting, ServerGone, find_meeting
 from acquire.viewer import RingViewer
 from devices.clock import SystemClock
 from devices.errors import DeviceBusy, InputError, StereotomeError
+from devices.rig import RigSpec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -86,6 +88,16 @@ class Instrument:
     def state(self) -> replies.State:
         """How things stand, as told last; asks only before the first telling."""
         return self._state or self._call(requests.GetState(), replies.State)
+
+    @property
+    def told(self) -> replies.State | None:
+        """How things stand, as told last; None before the first telling. Asks nothing."""
+        return self._state
+
+    def refresh(self) -> replies.State:
+        """Ask how things stand now."""
+        self._state = self._call(requests.GetState(), replies.State)
+        return self._state
 
     @property
     def silent_s(self) -> float:
@@ -150,6 +162,11 @@ class Instrument:
         self._call(requests.ReleaseLease(), replies.Done)
         self._wires.lease = ""
 
+    @property
+    def commands(self) -> bool:
+        """Whether this client commands, as far as it knows."""
+        return bool(self._wires.lease)
+
     def stop(self) -> replies.Stopped:
         """Stop all motion now and end the run; anyone may. Motion is refused until `clear_stop`."""
         return self._call(requests.Stop(), replies.Stopped)
@@ -207,6 +224,24 @@ class Instrument:
     def cut(self, *, expect_section: int) -> replies.Depth:
         """Take one section with the armed knife; refused unless it has counted ``expect_section`` strokes."""
         return self._call(requests.CutSection(expect_section=expect_section), replies.Depth)
+
+    def instrument(self) -> RigSpec:
+        """Return what the instrument is."""
+        tables = self._call(requests.GetInstrument(), replies.InstrumentView).tables
+        return RigSpec.model_validate_json(json.dumps(tables))  # from JSON, as a list there may be a tuple
+
+    def plan_run(
+        self, recipe: Path | str, *, overrides: Sequence[str] = (), out: Path | None = None
+    ) -> replies.Planned:
+        """Say what `start_run` would do and cost; nothing moves."""
+        text, name = _recipe(recipe)
+        folder = None if out is None else str(out)
+        asked = requests.PlanRun(recipe=text, name=name, overrides=tuple(overrides), out=folder)
+        return self._call(asked, replies.Planned)
+
+    def note(self, text: str) -> None:
+        """Write a note into the journal of the run under way."""
+        self._call(requests.NoteRun(text=text), replies.Done)
 
     def start_run(
         self, recipe: Path | str, *, overrides: Sequence[str] = (), out: Path | None = None

@@ -77,6 +77,11 @@ class Host:
         """File of the ring in which frames appear now; empty for none."""
         return self.run.ring_path or self.live.ring_path
 
+    @property
+    def in_use(self) -> bool:
+        """Whether somebody commands, or a run is under way."""
+        return bool(self._holder) or self.run.active
+
     def held_by(self, holder: str) -> None:
         """Note who commands."""
         if holder != self._holder:
@@ -224,6 +229,10 @@ class Host:
         match request:
             case requests.StartRun() | requests.ContinueRun():
                 return self._begin(request)
+            case requests.PlanRun():
+                return self.run.planned(request, self.live.caps)
+            case requests.NoteRun():
+                self.run.session().note(request.text)
             case requests.PauseRun():
                 self.run.session().pause(Scope(request.scope))
             case requests.ResumeRun():

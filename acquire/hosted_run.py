@@ -10,20 +10,25 @@ from typing import TYPE_CHECKING, Any
 
 from acquire.engine import FINAL, RunState
 from acquire.lanes import failed
+from acquire.planning import plan_run
 from acquire.recipe import recipe_from_text
-from acquire.replies import Question, RunView, Started
+from acquire.replies import Planned, Question, RunView, Started
 from acquire.resume import interrupted_run
-from acquire.session import Options, new_session, resumed_session, run_folder
+from acquire.session import Options, cost_of, needed_bytes, new_session, resumed_session, run_folder
+from acquire.store import free_bytes
 from devices.errors import InputError
+from devices.values import to_um
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from acquire import state
-    from acquire.requests import ContinueRun, StartRun
+    from acquire.recipe import Recipe
+    from acquire.requests import ContinueRun, PlanRun, StartRun
     from acquire.session import Outcome, Session
     from devices.protocols import Clock
     from devices.rig import Rig
+    from devices.values import CameraCaps
 
 log = logging.getLogger(__name__)
 JUDGED = Options(inspect=None)
@@ -66,11 +71,30 @@ class HostedRun:
         session = self._session
         return str(session.ring_path) if session is not None and self.active else ""
 
+    def planned(self, asked: PlanRun, caps: CameraCaps) -> Planned:
+        """Say what a recipe would do and cost; raises every problem of recipe and plan."""
+        recipe, folder = self._read(asked)
+        here_um = self._rig.stage.position_um() if recipe.stack.starts_here and not self.active else 0.0
+        plan = plan_run(recipe, self._rig.spec, here_um)
+        cost, stack = cost_of(plan, self._rig.spec, caps), plan.stack
+        return Planned(
+            folder=str(folder),
+            planes=cost.planes,
+            sections=plan.times,
+            planes_each=stack.count,
+            first_um=to_um(stack.z_nm(0)),
+            last_um=to_um(stack.z_nm(stack.count - 1)),
+            step_um=to_um(stack.step_nm),
+            seconds=cost.seconds,
+            dose_s=cost.dose_s,
+            bytes_on_disk=cost.bytes_on_disk,
+            needed_bytes=needed_bytes(cost.bytes_on_disk, recipe.output.keep_free_gb),
+            free_bytes=free_bytes(folder.absolute()),
+        )
+
     def start(self, asked: StartRun) -> Started:
         """Begin what a recipe says; raises every problem of recipe, plan and disk before anything moves."""
-        recipe = recipe_from_text(asked.recipe, asked.name, asked.overrides)
-        out = None if asked.out is None else Path(asked.out)
-        folder = run_folder(recipe, self._rig.spec, out, datetime.now(UTC).astimezone())
+        recipe, folder = self._read(asked)
         return self._begin(recipe.name, new_session(recipe, self._rig, folder, self._clock, self._tell, JUDGED))
 
     def go_on(self, asked: ContinueRun) -> Started:
@@ -117,6 +141,12 @@ class HostedRun:
         if thread is not None and session is not None:
             session.cancel()
             thread.join()
+
+    def _read(self, asked: PlanRun | StartRun) -> tuple[Recipe, Path]:
+        """Return the recipe and the folder its run would have."""
+        recipe = recipe_from_text(asked.recipe, asked.name, asked.overrides)
+        out = None if asked.out is None else Path(asked.out)
+        return recipe, run_folder(recipe, self._rig.spec, out, datetime.now(UTC).astimezone())
 
     def _begin(self, name: str, session: Session) -> Started:
         self._name, self._session, self._outcome = name, session, None

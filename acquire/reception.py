@@ -152,8 +152,8 @@ class Reception:
 
     def _at_once(self, header: messages.Header, request: requests.AnyRequest) -> replies.AnyReply:
         match request:
-            case requests.Hello():
-                return self._welcome()
+            case requests.Hello() | requests.GetInstrument():
+                return self._about_us(request)
             case requests.GetState():
                 return self._host.now()
             case requests.GetValues():
@@ -170,7 +170,9 @@ class Reception:
                 raise RequestRefused("this goes to the other socket. Nothing was done.")
         return replies.Done()
 
-    def _welcome(self) -> replies.Welcome:
+    def _about_us(self, request: requests.Hello | requests.GetInstrument) -> replies.AnyReply:
+        if isinstance(request, requests.GetInstrument):
+            return replies.InstrumentView(tables=self._spec.model_dump(mode="json", by_alias=True))
         limits = self._spec.stage.z.soft_limits
         return replies.Welcome(
             instrument=self._spec.name,

@@ -102,6 +102,43 @@ class Started(Reply, frozen=True, kw_only=True, tag="started"):
     planned: int
 
 
+class InstrumentView(Reply, frozen=True, kw_only=True, tag="instrument-view"):
+    """What the instrument is: the tables of its file, as of `devices.rig.RigSpec`."""
+
+    tables: dict[str, Any]
+
+
+class Planned(Reply, frozen=True, kw_only=True, tag="planned"):
+    """What a recipe would do and cost.
+
+    Attributes
+    ----------
+    folder : str
+        Where a run would put its data if it began now.
+    planes, sections, planes_each : int
+        Planes in all, sections (or points in time), planes of one stack.
+    first_um, last_um, step_um : float
+        Of one stack.
+    seconds, dose_s : float
+        Time from start to end; light on one face.
+    bytes_on_disk, needed_bytes, free_bytes : int
+        Size as if nothing could be compressed, what has to be free with margin and reserve, what is free.
+    """
+
+    folder: str
+    planes: int
+    sections: int
+    planes_each: int
+    first_um: float
+    last_um: float
+    step_um: float
+    seconds: float
+    dose_s: float
+    bytes_on_disk: int
+    needed_bytes: int
+    free_bytes: int
+
+
 class Stopped(Reply, frozen=True, kw_only=True, tag="stopped"):
     """What was told to stop, and what could not be told, in words."""
 
@@ -245,7 +282,22 @@ class Values(Reply, frozen=True, kw_only=True, tag="values"):
     values: dict[str, tuple[int, State | Event]]
 
 
-AnyReply = Welcome | Lease | Done | Working | Failed | Position | Depth | Picture | Started | Stopped | State | Values
+AnyReply = (
+    Welcome
+    | Lease
+    | Done
+    | Working
+    | Failed
+    | Position
+    | Depth
+    | Picture
+    | Planned
+    | Started
+    | Stopped
+    | State
+    | Values
+    | InstrumentView
+)
 Told = State | Event | Preview
 
 

@@ -41,6 +41,12 @@ class GetState(Request, frozen=True, kw_only=True, tag="get-state"):
     needs_lease: ClassVar[bool] = False
 
 
+class GetInstrument(Request, frozen=True, kw_only=True, tag="get-instrument"):
+    """What are you? Answered by `InstrumentView`."""
+
+    needs_lease: ClassVar[bool] = False
+
+
 class GetValues(Request, frozen=True, kw_only=True, tag="get-values"):
     """The last value of every topic of the telemetry; answered by `Values`."""
 
@@ -137,6 +143,17 @@ class CutSection(Request, frozen=True, kw_only=True, tag="cut-section"):
     expect_section: int
 
 
+class PlanRun(Request, frozen=True, kw_only=True, tag="plan-run"):
+    """What would a recipe cost here and now? Nothing moves; answered by `Planned`. Fields as in `StartRun`."""
+
+    needs_lease: ClassVar[bool] = False
+    lane: ClassVar[Lane] = "run"
+    recipe: Annotated[str, Meta(max_length=500_000)]
+    name: Name = "recipe"
+    overrides: tuple[Name, ...] = ()
+    out: Words | None = None
+
+
 class StartRun(Request, frozen=True, kw_only=True, tag="start-run"):
     """Take what a recipe says; answered by `Started`.
 
@@ -192,6 +209,13 @@ class AnswerRun(Request, frozen=True, kw_only=True, tag="answer-run"):
     choice: Name
 
 
+class NoteRun(Request, frozen=True, kw_only=True, tag="note-run"):
+    """Write a note into the journal of the run under way."""
+
+    lane: ClassVar[Lane] = "run"
+    text: Words
+
+
 class ClearStop(Request, frozen=True, kw_only=True, tag="clear-stop"):
     """Allow motion again after a stop."""
 
@@ -205,6 +229,7 @@ class Stop(Request, frozen=True, kw_only=True, tag="stop"):
 AnyRequest = (
     Hello
     | GetState
+    | GetInstrument
     | GetValues
     | TakeLease
     | KeepLease
@@ -220,12 +245,14 @@ AnyRequest = (
     | FeedSection
     | ArmKnife
     | CutSection
+    | PlanRun
     | StartRun
     | ContinueRun
     | PauseRun
     | ResumeRun
     | CancelRun
     | AnswerRun
+    | NoteRun
     | ClearStop
     | Stop
 )

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from acquire.host import Host
 
 CLOCK = SystemClock()
+LOOK_S = 0.5
 
 
 def serve(
@@ -36,6 +37,8 @@ def serve(
     keys: Path | None = None,
     observe: Annotated[bool | str, Parameter(negative="")] = False,
     transcript: Path | None = None,
+    block: Annotated[bool, Parameter(negative="")] = False,
+    leave_after: Annotated[float | None, Parameter(name="--leave-after")] = None,
 ) -> int:
     """Own an instrument, and let consoles, scripts and observers work with it, until Ctrl-C.
 
@@ -58,12 +61,16 @@ def serve(
         Show the newest picture and how things stand on a web page: --observe, or --observe=ADDRESS:PORT.
     transcript
         Folder in which every exchange with the devices is recorded.
+    block
+        With --sim and no instrument file: the bench with a microtome and a block.
+    leave_after
+        End by itself when nobody commanded for so many seconds and no run is under way.
     """
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(asctime)s %(message)s")
     guarded = None if keys is None else ServerKeys(keys)
     endpoints, where = addresses(bind, keyed=keys is not None), observed_at(observe)
     with ExitStack() as stack:
-        spec = instrument_spec(stack, instrument, set_, sim=sim)
+        spec = instrument_spec(stack, instrument, set_, sim=sim, block=block)
         watchdog = stack.enter_context(Watchdog(spec, CLOCK))
         rig = stack.enter_context(opened(spec, CLOCK, transcript, home=sim))
         watchdog.wait_until_ready()
@@ -74,12 +81,15 @@ def serve(
             told["page"] = stack.enter_context(observer_page(file, *where))
         sys.stdout.write(json.dumps(told, ensure_ascii=False) + "\n")
         sys.stdout.flush()
-        _wait(host)
+        _wait(host, leave_after)
     return 0
 
 
-def _wait(host: Host) -> None:
-    """Wait for Ctrl-C or SIGTERM; a run under way then ends after its plane, and at once when told a second time."""
+def _wait(host: Host, leave_after_s: float | None) -> None:
+    """Wait for Ctrl-C or SIGTERM; a run under way then ends after its plane, and at once when told a second time.
+
+    With ``leave_after_s`` also until nobody commanded for so long while no run was under way.
+    """
     over = threading.Event()
 
     def on_signal(*_: object) -> None:
@@ -89,4 +99,9 @@ def _wait(host: Host) -> None:
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, on_signal)
-    over.wait()
+    used_s = CLOCK.now()
+    while not over.wait(None if leave_after_s is None else LOOK_S):
+        if host.in_use:
+            used_s = CLOCK.now()
+        elif leave_after_s is not None and CLOCK.now() - used_s > leave_after_s:
+            return

@@ -32,6 +32,7 @@ HELP = "Takes focal and section stacks at the microscope and shows the third dim
 COMMAND_HELP = {
     "config": "Look at instrument and recipe files.",
     "config check": "Check instrument and recipe files.",
+    "console": "Work at an instrument in a window: focus, stacks, sections, and what was taken.",
     "demo": "Take a stack on a simulated bench and make pictures of it; needs no files.",
     "devices": "Look at what is connected.",
     "devices init": "Write an instrument file by a short dialogue, and try it.",

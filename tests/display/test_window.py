@@ -1,12 +1,11 @@
 """A real window under a virtual X server: what is in it is the picture that was drawn."""
 
 import os
-import shutil
 import subprocess
 import sys
 
 import numpy as np
-import pytest
+from screens import needs_screen, virtual_screen
 
 GRAB = """
 import sys
@@ -29,21 +28,10 @@ assert np.abs(seen.astype(int) - picture).max() <= 1
 """
 
 
-@pytest.mark.skipif(shutil.which("Xvfb") is None, reason="Xvfb is not installed: no window can be opened")
-def test_a_window_shows_the_picture_the_right_way_up(tmp_path):
-    read, write = os.pipe()
-    server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), "-screen", "0", "320x240x24"], pass_fds=(write,), stderr=subprocess.DEVNULL
-    )
-    os.close(write)
-    try:
-        with os.fdopen(read) as told:
-            display = told.readline().strip()
-        environment = {**os.environ, "DISPLAY": f":{display}"}
+@needs_screen
+def test_a_window_shows_the_picture_the_right_way_up():
+    with virtual_screen() as environment:
         subprocess.run([sys.executable, "-c", GRAB], check=True, env=environment, timeout=300)
-    finally:
-        server.terminate()
-        server.wait()
 
 
 def test_without_a_display_the_other_way_is_named(tmp_path):

@@ -1,0 +1,153 @@
+"""The newest frames and what can be read off each, in a thread of its own that looks and never disturbs."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from acquire.frame import FrameHeader
+from acquire.measures import focus_energy
+from acquire.viewer import RingViewer
+from devices.clock import SystemClock
+from display.console.contrast import Histogram
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from acquire.replies import Picture
+    from devices.protocols import Clock
+
+LOOK_S = 0.1
+BINS = 256
+TREND = 120  # frames
+KEPT_BYTES = 1 << 30
+SCORED_PX = 512
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """One frame and what was read off it.
+
+    Attributes
+    ----------
+    number : int
+        Counts the frames this console saw.
+    over, under : float
+        Share of all pixels at the top of the camera's scale, and at 0.
+    score : float
+        How sharp the middle of the frame is; comparable between frames of one specimen.
+    """
+
+    number: int
+    pixels: np.ndarray
+    header: FrameHeader
+    histogram: Histogram
+    over: float
+    under: float
+    score: float
+
+
+def histogram_of(pixels: np.ndarray, top: int) -> Histogram:
+    """Return the histogram of every pixel, bands together."""
+    counts = cv2.calcHist([pixels.reshape(pixels.shape[0], -1)], [0], None, [BINS], [0, float(top + 1)])
+    return Histogram(np.ravel(counts).astype(np.int64), top)
+
+
+def middle(pixels: np.ndarray, side: int = SCORED_PX) -> np.ndarray:
+    """Return the middle of a frame, at most ``side`` pixels wide and high."""
+    height, width = pixels.shape[:2]
+    top, left = max((height - side) // 2, 0), max((width - side) // 2, 0)
+    return pixels[top : top + side, left : left + side]
+
+
+def look(number: int, pixels: np.ndarray, header: FrameHeader, top: int) -> Seen:
+    """Return a frame with what can be read off it."""
+    over, under = np.count_nonzero(pixels >= top), pixels.size - np.count_nonzero(pixels)
+    return Seen(
+        number,
+        pixels,
+        header,
+        histogram_of(pixels, top),
+        over / pixels.size,
+        under / pixels.size,
+        focus_energy(middle(pixels)),
+    )
+
+
+class Eyes:
+    """Looks at the newest frames.
+
+    Parameters
+    ----------
+    ring : callable
+        Returns the file of the ring in which frames appear now, empty for none.
+    top : callable
+        Returns the largest grey level of the camera.
+
+    Attributes
+    ----------
+    seen : Seen or None
+        The newest frame.
+    trend : deque of float
+        Focus scores of the last frames.
+    rate_hz : float
+        Frames a second that were looked at.
+    """
+
+    def __init__(self, ring: Callable[[], str], top: Callable[[], int], clock: Clock | None = None) -> None:
+        self.seen: Seen | None = None
+        self.trend: deque[float] = deque(maxlen=TREND)
+        self.rate_hz = 0.0
+        self.kept: list[Seen] | None = None
+        self._top = top
+        self._clock = clock or SystemClock()
+        self._viewer = RingViewer(ring, self._clock)
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="eyes", daemon=True)
+        self._thread.start()
+
+    def keep(self) -> None:
+        """Keep frames from now on, as many as there is room for."""
+        self.kept = []
+
+    def keep_no_more(self) -> list[Seen]:
+        """Return the frames that were kept."""
+        kept, self.kept = self.kept, None
+        return kept or []
+
+    def of_picture(self, picture: Picture) -> Seen:
+        """Return a frame that was asked for as one that was seen."""
+        pixels = np.frombuffer(picture.pixels, picture.dtype).reshape(picture.shape)
+        header = FrameHeader(-1, picture.z_um, picture.z_um, picture.exposure_ms, utc_ns=picture.utc_ns)
+        return look(0, pixels, header, self._top())
+
+    def close(self) -> None:
+        """Look no more."""
+        self._over.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        number, before_s = 0, self._clock.now()
+        with self._viewer:
+            while not self._over.is_set():
+                frame = self._viewer.newest(LOOK_S)
+                now_s = self._clock.now()
+                if frame is None:
+                    self.rate_hz *= 0.8
+                    continue
+                number += 1
+                self.rate_hz += 0.2 * (1 / max(now_s - before_s, 1e-3) - self.rate_hz)
+                before_s = now_s
+                self._take(look(number, frame.pixels, frame.header, self._top()))
+
+    def _take(self, seen: Seen) -> None:
+        self.seen = seen
+        self.trend.append(seen.score)
+        kept = self.kept
+        if kept is not None and len(kept) * seen.pixels.nbytes < KEPT_BYTES:
+            kept.append(seen)

@@ -1,0 +1,87 @@
+"""The keyboard: one list that is both what keys do and what F1 shows. No unmodified letter moves hardware."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from display.console.placing import Placing
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from display.console.model import Console
+
+
+@dataclass(frozen=True)
+class Binding:
+    """A key and what it does.
+
+    Attributes
+    ----------
+    key : str
+        Its name in Dear ImGui's ``Key``.
+    shown : str
+        As people write it.
+    words : str
+        What it does.
+    do : callable
+        Does it.
+    ctrl : bool
+        Together with Ctrl.
+    repeats : bool
+        Again and again while held.
+    """
+
+    key: str
+    shown: str
+    words: str
+    do: Callable[[Console], None]
+    ctrl: bool = False
+    repeats: bool = False
+
+
+def _far(steps: int) -> Callable[[Console], None]:
+    return lambda console: console.jog(steps, faster=True)
+
+
+def _placing(console: Console) -> None:
+    console.placing = Placing()
+
+
+def _crosshair(console: Console) -> None:
+    console.settings.crosshair = not console.settings.crosshair
+
+
+def _keys(console: Console) -> None:
+    console.shows_keys = not console.shows_keys
+
+
+BINDINGS = (
+    Binding("escape", "Esc", "STOP: all motion now, latched", lambda console: console.stop()),
+    Binding("page_up", "PgUp", "stage up by the step", lambda console: console.jog(1), repeats=True),
+    Binding("page_down", "PgDn", "stage down by the step", lambda console: console.jog(-1), repeats=True),
+    Binding("page_up", "Ctrl+PgUp", "stage up by ten steps", _far(1), ctrl=True, repeats=True),
+    Binding("page_down", "Ctrl+PgDn", "stage down by ten steps", _far(-1), ctrl=True, repeats=True),
+    Binding("left_bracket", "[", "a smaller step", lambda console: console.jogger.choose(-1)),
+    Binding("right_bracket", "]", "a larger step", lambda console: console.jogger.choose(1)),
+    Binding("space", "Space", "live view on and off", lambda console: console.live()),
+    Binding("s", "S", "save a snapshot", lambda console: console.snap()),
+    Binding("a", "A", "fit the contrast once", lambda console: console.auto_contrast()),
+    Binding("t", "T", "top of the stack is here", lambda console: console.mark("top")),
+    Binding("b", "B", "bottom of the stack is here", lambda console: console.mark("bottom")),
+    Binding("t", "Ctrl+T", "go to the top", lambda console: console.visit("top"), ctrl=True),
+    Binding("b", "Ctrl+B", "go to the bottom", lambda console: console.visit("bottom"), ctrl=True),
+    Binding("r", "Ctrl+R", "review before a start; pause; go on", lambda console: console.run_or_pause(), ctrl=True),
+    Binding("f", "F", "fit the picture to its panel", _placing),
+    Binding("h", "H", "crosshair on and off", _crosshair),
+    Binding("f1", "F1", "this list", _keys),
+)
+
+MOUSE = (
+    ("wheel over the picture", "stage up and down by the step; with Shift ten steps"),
+    ("Ctrl and wheel", "enlarge the picture where the mouse is"),
+    ("drag the picture", "move it"),
+    ("Shift and drag", "a line whose grey levels are plotted"),
+    ("drag an end of the histogram", "limits of the contrast"),
+)

@@ -1,0 +1,358 @@
+"""All the console knows and does, without a window: panels draw it, keys and buttons call it, tests drive it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from acquire import replies, requests
+from acquire.state import FINAL, RunState
+from devices.clock import SystemClock
+from devices.errors import StereotomeError
+from display.console import contrast as grey
+from display.console.journal import words_of
+from display.console.moving import Jogger, Marks
+from display.console.placing import Placing
+from display.console.snapshots import write_clip, write_snapshot
+from display.console.stack_form import Advice, StackForm, advice
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from devices.protocols import Clock
+    from display.console.bench import Bench
+    from display.console.eyes import Eyes, Seen
+    from display.console.journal import Journal
+    from display.console.settings import Settings
+
+PLAN_EVERY_S = 5.0
+LIVE_HZ = 30.0
+TOP_OF_UNKNOWN = 4095
+
+
+class Console:
+    """What is shown and what can be done; used by the window's thread alone.
+
+    Attributes
+    ----------
+    planned : Planned or StereotomeError or None
+        What the form's recipe would cost, or why it cannot be carried out; None before the first answer.
+    notice : str
+        What was refused last, in words, beside the stage.
+    reviewing : bool
+        The review before a start is open.
+    """
+
+    def __init__(
+        self, bench: Bench, eyes: Eyes, journal: Journal, settings: Settings, clock: Clock | None = None
+    ) -> None:
+        self.bench = bench
+        self.eyes = eyes
+        self.journal = journal
+        self.settings = settings
+        self.contrast = grey.Contrast(
+            gamma=settings.gamma,
+            table=settings.table,
+            paint=settings.paint,
+            ignored_percent=settings.ignored_percent,
+        )
+        self.placing = Placing()
+        self.jogger = Jogger(chosen=min(max(settings.jog, 0), 4))
+        self.form = StackForm(folder=settings.folder, operator=settings.operator)
+        self.notice = ""
+        self.planned: replies.Planned | StereotomeError | None = None
+        self.reviewing = False
+        self.shows_keys = False
+        self.target_um = 0.0
+        self.exposure_ms: float | None = None
+        self.pause_scope = "plane"
+        self._clock = clock or SystemClock()
+        self._fits_first = True
+        self._planned_for = ""
+        self._planned_s = float("-inf")
+        self._planning = False
+
+    # How things stand
+
+    @property
+    def state(self) -> replies.State | None:
+        """The instrument as told last."""
+        return self.bench.state
+
+    @property
+    def run(self) -> replies.RunView | None:
+        """The run under way, or the last one."""
+        return None if self.state is None else self.state.run
+
+    @property
+    def running(self) -> bool:
+        """Whether a run has the devices."""
+        return self.state is not None and self.state.state != RunState.IDLE
+
+    @property
+    def stopped(self) -> bool:
+        """Whether STOP is latched, here or at the instrument."""
+        return self.bench.stop_asked or (self.state is not None and self.state.stopped)
+
+    @property
+    def top(self) -> int:
+        """The largest grey level of the camera."""
+        return TOP_OF_UNKNOWN if self.bench.rig is None else (1 << self.bench.rig.camera.bit_depth) - 1
+
+    @property
+    def limits_um(self) -> tuple[float, float] | None:
+        """Soft limits of the stage."""
+        if self.bench.rig is None:
+            return None
+        limits = self.bench.rig.stage.z.soft_limits
+        return limits.min_um, limits.max_um
+
+    @property
+    def advice(self) -> Advice | None:
+        """What the optics say about the distance of planes."""
+        return None if self.bench.rig is None else advice(self.bench.rig)
+
+    def why_no_motion(self) -> str:
+        """Return why nothing can be moved by hand now; empty when it can."""
+        if not self.bench.connected:
+            return "the instrument does not answer"
+        if self.stopped:
+            return "STOP is latched: release it first"
+        if self.running:
+            return "a run has the devices"
+        if not self.bench.commands:
+            holder = self.state.holder if self.state is not None else ""
+            return f"{holder or 'nobody'} commands, not this console"
+        return ""
+
+    def why_no_start(self) -> str:
+        """Return why no run can be started now; empty when one can."""
+        if words := self.why_no_motion():
+            return words
+        if self.planned is None:
+            return "the plan is being made"
+        if isinstance(self.planned, StereotomeError):
+            return words_of(self.planned)
+        short = self.planned.needed_bytes - self.planned.free_bytes
+        return f"the disk is too full by {short / 1e9:.2f} GB" if short > 0 else ""
+
+    # Every frame
+
+    def tick(self) -> None:
+        """Do what is due: take answers, send what wheel and keys asked for, plan what the form says."""
+        self.bench.settle()
+        self._follow()
+        self._jog_due()
+        self._plan_due()
+
+    def _follow(self) -> None:
+        seen = self.eyes.seen
+        if seen is None:
+            return
+        if self._fits_first:
+            self._fits_first, self.contrast = False, grey.fitted(self.contrast, seen.histogram)
+        self.contrast = grey.followed(self.contrast, seen.histogram)
+
+    def _jog_due(self) -> None:
+        if self.jogger.wanted_um and (words := self.why_no_motion()):
+            self.jogger.forget()
+            self._refuse(f"{words}. Nothing moved.")
+        if by_um := self.jogger.due_um():
+            self._move(requests.JogStage(by_um=by_um))
+
+    def _plan_due(self) -> None:
+        text = self.form.recipe()
+        old = self._clock.now() - self._planned_s > PLAN_EVERY_S and not self.running
+        if self._planning or not self.bench.connected or (text == self._planned_for and not old):
+            return
+        self._planning, self._planned_for, self._planned_s = True, text, self._clock.now()
+        self.bench.ask(requests.PlanRun(recipe=text, name="the form"), "plan", self._plan_made, quiet=True)
+
+    def _plan_made(self, answer: replies.AnyReply | StereotomeError) -> None:
+        self._planning = False
+        if isinstance(answer, replies.Planned | StereotomeError):
+            self.planned = answer
+
+    # STOP
+
+    def stop(self) -> None:
+        """Stop all motion now; latches."""
+        self.jogger.forget()
+        self.bench.stop()
+
+    def release_stop(self) -> None:
+        """Allow motion again: an act of its own."""
+        self.bench.stop_asked = False
+        self.bench.ask(requests.ClearStop(), "STOP")
+
+    # The stage
+
+    def jog(self, steps: float, *, faster: bool = False) -> None:
+        """Ask for steps; they add up while a move is under way."""
+        self.jogger.jog(steps, faster=faster)
+
+    def go(self, z_um: float) -> None:
+        """Go to a position."""
+        if words := self.why_no_motion():
+            self._refuse(f"{words}. Nothing moved.")
+        else:
+            self.jogger.under_way = True
+            self._move(requests.MoveStage(z_um=z_um))
+
+    def park(self) -> None:
+        """Go where the objective is out of the way."""
+        rig = self.bench.rig
+        if rig is not None and rig.stage.z.park_um is not None:
+            self.go(rig.stage.z.park_um)
+
+    def zero(self) -> None:
+        """Call this place 0 µm; the marks no longer hold."""
+        self.form.marks = Marks()
+        self.bench.ask(requests.ZeroStage(), "stage")
+
+    def mark(self, end: str) -> None:
+        """Set the ``top`` or the ``bottom`` of the stack where the stage is."""
+        if self.state is not None and self.state.z_um is not None:
+            setattr(self.form.marks, f"{end}_um", round(self.state.z_um, 3))
+
+    def visit(self, end: str) -> None:
+        """Go to the ``top`` or the ``bottom`` set before."""
+        z_um = getattr(self.form.marks, f"{end}_um")
+        if z_um is not None:
+            self.go(z_um)
+
+    def _move(self, request: requests.MoveStage | requests.JogStage) -> None:
+        self.notice = ""
+        self.bench.ask(request, "stage", self._moved)
+
+    def _moved(self, answer: replies.AnyReply | StereotomeError) -> None:
+        self.jogger.done()
+        if isinstance(answer, StereotomeError):
+            self.jogger.forget()
+            self.notice = words_of(answer)
+
+    def _refuse(self, words: str) -> None:
+        self.notice = words[0].upper() + words[1:]
+
+    # The camera
+
+    def live(self) -> None:
+        """Show frames as they come, or no more."""
+        shown = self.state is not None and self.state.live
+        self.bench.ask(requests.StopLive() if shown else requests.StartLive(frames_per_s=LIVE_HZ), "camera")
+
+    def snap(self) -> None:
+        """Take one frame and keep it; while frames come anyway, keep the newest."""
+        coming = self.running or (self.state is not None and self.state.live)
+        if coming and self.eyes.seen is not None:
+            self._keep(self.eyes.seen)
+        else:
+            self.bench.ask(requests.Snap(), "camera", self._snapped)
+
+    def set_exposure(self, exposure_ms: float) -> None:
+        """Expose for so long from now on."""
+        self.bench.ask(requests.SetCamera(exposure_ms=exposure_ms), "camera")
+
+    def set_roi(self, roi: tuple[int, int, int, int] | None) -> None:
+        """Deliver this part of the frame; None for all of it."""
+        state, rig = self.state, self.bench.rig
+        if state is None or rig is None:
+            return
+        size = rig.camera.size_px
+        whole = None if size is None else (0, 0, *size)
+        self.placing = Placing()
+        self.bench.ask(requests.SetCamera(exposure_ms=state.exposure_ms, roi=roi or whole), "camera")
+
+    def record(self) -> None:
+        """Begin to keep frames as they come, or end and write them as a clip."""
+        if self.eyes.kept is None:
+            self.eyes.keep()
+            return
+        kept = self.eyes.keep_no_more()
+        if kept:
+            self._written(lambda: write_clip(Path(self.settings.snapshots), kept, self._about()))
+
+    def auto_contrast(self) -> None:
+        """Fit the contrast to the newest frame, once."""
+        if self.eyes.seen is not None:
+            self.contrast = replace(grey.fitted(self.contrast, self.eyes.seen.histogram), auto="off")
+
+    def _snapped(self, answer: replies.AnyReply | StereotomeError) -> None:
+        if isinstance(answer, replies.Picture) and self.eyes.seen is not None:
+            self._keep(self.eyes.of_picture(answer))
+
+    def _keep(self, seen: Seen) -> None:
+        self._written(lambda: write_snapshot(Path(self.settings.snapshots), seen, self._about()))
+
+    def _written(self, write: Callable[[], Path]) -> None:
+        try:
+            self.journal.add("info", "camera", f"saved {write()}")
+        except (OSError, StereotomeError) as error:
+            self.journal.add("error", "camera", f"not saved: {error}")
+
+    def _about(self) -> dict[str, object]:
+        """Return what a picture is kept with."""
+        rig = self.bench.rig
+        return {
+            "instrument": "" if rig is None else rig.name,
+            "pixel_um": None if rig is None else rig.object_pixel_um,
+            "operator": self.form.operator or self.bench.actor,
+            "notes": self.form.notes,
+        }
+
+    # Runs
+
+    def start_run(self) -> None:
+        """Begin what the form says."""
+        self.reviewing = False
+        if words := self.why_no_start():
+            self.journal.add("error", "run", f"not started: {words}")
+            return
+        self.bench.ask(requests.StartRun(recipe=self.form.recipe(), name="the form"), "run")
+
+    def continue_run(self, folder: str) -> None:
+        """Take what a run that ended early lacks."""
+        self.bench.ask(requests.ContinueRun(folder=folder), "run")
+
+    def pause(self) -> None:
+        """Have the run wait at the boundary chosen."""
+        self.bench.ask(requests.PauseRun(scope=self.pause_scope), "run")  # type: ignore[arg-type]
+
+    def resume(self) -> None:
+        """Let the run go on."""
+        self.bench.ask(requests.ResumeRun(), "run")
+
+    def run_or_pause(self) -> None:
+        """Open the review before a start, pause, or go on: what comes next."""
+        state = self.state.state if self.state is not None else ""
+        if state == RunState.PAUSED:
+            self.resume()
+        elif state == RunState.RUNNING:
+            self.pause()
+        elif not self.running:
+            self.reviewing = True
+
+    def abort(self) -> None:
+        """End the run after the exposure in work; the stage goes back, what was taken is kept."""
+        self.bench.ask(requests.CancelRun(), "run")
+
+    def answer(self, choice: str) -> None:
+        """Answer what the run asks."""
+        self.bench.ask(requests.AnswerRun(choice=choice), "run")
+
+    def note(self, text: str) -> None:
+        """Write a note into the journal of the run."""
+        self.bench.ask(requests.NoteRun(text=text), "notes")
+
+    def can_continue(self) -> bool:
+        """Whether the last run ended with planes missing, and no run is under way."""
+        run = self.run
+        return run is not None and not self.running and run.state in FINAL and run.durable < run.planned
+
+    def remember(self) -> None:
+        """Put what is chosen now into the settings."""
+        for name in ("gamma", "table", "paint", "ignored_percent"):
+            setattr(self.settings, name, getattr(self.contrast, name))
+        self.settings.jog = self.jogger.chosen
+        self.settings.folder, self.settings.operator = self.form.folder, self.form.operator

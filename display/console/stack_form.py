@@ -1,0 +1,120 @@
+"""What the operator fills in for a run, and the recipe it makes; the instrument judges it as any other recipe."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+from acquire.optics import depth_of_field_um, nyquist_step_um
+from devices.toml_write import toml_text
+from display.console.moving import Marks
+
+if TYPE_CHECKING:
+    from devices.rig import RigSpec
+
+Spacing = Literal["planes", "step", "nyquist", "dof"]
+SPACINGS: tuple[Spacing, ...] = ("planes", "step", "nyquist", "dof")
+RETURNS = ("start", "middle", "park", "stay")
+Direction = Literal["up", "down"]
+
+
+@dataclass
+class SectionsForm:
+    """Sections to cut, as ``[sections]`` of a recipe."""
+
+    wanted: bool = False
+    count: int = 10
+    thickness_nm: float = 100.0
+    cut_first: bool = True
+    sweeps: int = 3
+    autofocus_every: int = 0
+
+    def table(self) -> dict[str, Any]:
+        """Return the recipe's table."""
+        return {
+            "count": self.count,
+            "thickness_nm": float(self.thickness_nm),
+            "cut_then_image": self.cut_first,
+            "autofocus_every": self.autofocus_every,
+            "debris_check": {"on_debris": "recut", "sweeps": self.sweeps} if self.sweeps else {"on_debris": "pause"},
+        }
+
+
+@dataclass
+class StackForm:
+    """A stack between the marks, or around where the stage is without them."""
+
+    name: str = "stack"
+    notes: str = ""
+    operator: str = ""
+    folder: str = "data/{date}/{name}-{run:03d}"
+    marks: Marks = field(default_factory=Marks)
+    around_um: float = 20.0
+    spacing: Spacing = "planes"
+    planes: int = 21
+    step_um: float = 1.0
+    direction: Direction = "up"
+    return_to: str = "start"
+    exposure_ms: float | None = None
+    focus: bool = True
+    stereo: bool = True
+    keep_free_gb: float = 1.0
+    sections: SectionsForm = field(default_factory=SectionsForm)
+
+    def recipe(self) -> str:
+        """Return the recipe's text."""
+        tables: dict[str, Any] = {
+            "schema": 1,
+            "name": self.name,
+            "operator": self.operator,
+            "notes": self.notes,
+            "output": {"folder": self.folder, "keep_free_gb": float(self.keep_free_gb)},
+            "stack": {**self._range(), **self._spacing(), "direction": self.direction, "return_to": self.return_to},
+        }
+        if self.exposure_ms is not None:
+            tables["stack"]["exposure_ms"] = float(self.exposure_ms)
+        if self.focus and not self.sections.wanted:
+            tables["process"] = {"extended_focus": True, "range_image": True}
+            if self.stereo:
+                tables["process"]["stereo_pair"] = {"angle_deg": 6.0}
+        if self.sections.wanted:
+            tables["sections"] = self.sections.table()
+        return toml_text(tables)
+
+    def _range(self) -> dict[str, float]:
+        if not self.marks.complete:
+            return {"around_um": float(self.around_um)}
+        bottom_um, top_um = self.marks.in_order()
+        return {"bottom_um": round(bottom_um, 3), "top_um": round(top_um, 3)}
+
+    def _spacing(self) -> dict[str, Any]:
+        match self.spacing:
+            case "planes":
+                return {"planes": self.planes}
+            case "step":
+                return {"step": float(self.step_um)}
+            case "nyquist" | "dof":
+                return {"step": self.spacing}
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What the optics say about the distance of planes, in µm."""
+
+    nyquist_um: float
+    depth_of_field_um: float
+
+    def overlap_percent(self, step_um: float) -> float:
+        """Return how much of its depth of field a plane shares with the next: extended focus needs some."""
+        return max(0.0, 100 * (1 - abs(step_um) / self.depth_of_field_um))
+
+
+def advice(rig: RigSpec) -> Advice:
+    """Return what the instrument's optics say."""
+    lens = rig.optics
+    return Advice(
+        nyquist_step_um(lens.na, lens.wavelength_um, lens.medium_index),
+        depth_of_field_um(
+            lens.na, lens.wavelength_um, lens.medium_index, lens.magnification, rig.camera.pixel_um or 0.0
+        ),
+    )

@@ -1,0 +1,265 @@
+"""The console's window: Hello ImGui owns it, ModernGL draws into it, panels fill it. Nothing here waits."""
+
+from __future__ import annotations
+
+import logging
+import traceback
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from imgui_bundle import hello_imgui, imgui, immapp
+
+from acquire.words import took
+from devices.errors import DisplayError, StereotomeError
+from display.console.keys import BINDINGS, MOUSE
+from display.console.panels import camera, live, log, stack, stage
+from display.console.panels import widgets as w
+from display.gl.canvas import Canvas
+from display.gl.show import window_context
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from display.console.model import Console
+
+logger = logging.getLogger(__name__)
+TITLE = "Stereotome"
+SIZE = (1280, 720)
+BUSY_HZ, IDLE_HZ = 30.0, 4.0
+LAYOUT = "console-1"
+
+
+class ConsoleWindow:
+    """The window around a console.
+
+    Parameters
+    ----------
+    scale : float, optional
+        How large everything is, where the system does not tell it right.
+    remembers : bool
+        Keep the places of panels between two starts.
+    """
+
+    def __init__(self, console: Console, *, scale: float | None = None, remembers: bool = True) -> None:
+        self.console = console
+        self.canvas: Canvas | None = None
+        self._failed: set[str] = set()
+        self._draws: dict[str, Callable[[Console], None]] = {
+            "Stage": stage.draw,
+            "Camera": camera.draw,
+            "Stack": stack.draw,
+            "Log": log.LogPanel().draw,
+        }
+        self.params = self._params(scale, remembers=remembers)
+
+    def run(self) -> None:
+        """Show it until it is closed.
+
+        Raises
+        ------
+        DisplayError
+            ``no-display``: there is no screen, or it has no OpenGL 3.3.
+        """
+        try:
+            immapp.run(self.params)
+        except RuntimeError as cause:
+            raise DisplayError(str(cause).strip(), code="no-display") from None
+
+    def _params(self, scale: float | None, *, remembers: bool) -> hello_imgui.RunnerParams:
+        params = hello_imgui.RunnerParams()
+        params.app_window_params.window_title = TITLE
+        params.app_window_params.window_geometry.size = SIZE
+        params.app_window_params.restore_previous_geometry = remembers
+        params.renderer_backend_options.open_gl_options = hello_imgui.OpenGlOptions(
+            glsl_version="330", major_version=3, minor_version=3, use_core_profile=True, anti_aliasing_samples=0
+        )
+        params.fps_idling.fps_max = BUSY_HZ
+        params.fps_idling.vsync_to_monitor = False  # the stereo presenter is the one who owns the refresh
+        params.fps_idling.time_active_after_last_event = 0.5
+        params.ini_disable = not remembers
+        params.ini_folder_type = hello_imgui.IniFolderType.app_user_config_folder
+        params.ini_filename = "stereotome/console.ini"
+        if scale is not None:
+            params.dpi_aware_params.dpi_window_size_factor = scale
+        self._frame(params.imgui_window_params)
+        self._callbacks(params.callbacks)
+        params.docking_params = self._docking()
+        return params
+
+    def _frame(self, window: hello_imgui.ImGuiWindowParams) -> None:
+        window.default_imgui_window_type = hello_imgui.DefaultImGuiWindowType.provide_full_screen_dock_space
+        window.enable_viewports = False  # more windows would be more OpenGL contexts
+        window.show_menu_bar = True
+        window.show_menu_app = False
+        window.show_menu_view = True
+        window.show_menu_view_themes = False
+        window.show_status_bar = True
+        window.show_status_fps = False
+        window.tweaked_theme.theme = hello_imgui.ImGuiTheme_.darcula_darker
+
+    def _callbacks(self, callbacks: hello_imgui.RunnerCallbacks) -> None:
+        callbacks.post_init = self._attach
+        callbacks.setup_imgui_config = _configure
+        callbacks.show_menus = partial(self._guarded, "menu", self._menu)
+        callbacks.show_status = partial(self._guarded, "status", self._status)
+        callbacks.show_gui = partial(self._guarded, "console", self._every_frame)
+
+    def _docking(self) -> hello_imgui.DockingParams:
+        split = hello_imgui.DockingSplit
+        docking = hello_imgui.DockingParams()
+        docking.layout_name = LAYOUT
+        docking.docking_splits = [
+            split("MainDockSpace", "Left", imgui.Dir.left, 0.25),
+            split("MainDockSpace", "Right", imgui.Dir.right, 0.33),
+            split("MainDockSpace", "Below", imgui.Dir.down, 0.22),
+            split("Left", "LeftBelow", imgui.Dir.down, 0.58),
+        ]
+        places = {"Stage": "Left", "Camera": "LeftBelow", "Stack": "Right", "Live": "MainDockSpace", "Log": "Below"}
+        docking.dockable_windows = [self._dockable(name, place) for name, place in places.items()]
+        return docking
+
+    def _dockable(self, name: str, place: str) -> hello_imgui.DockableWindow:
+        return hello_imgui.DockableWindow(
+            name, place, partial(self._guarded, name, lambda _: self._draws[name](self.console)), can_be_closed_=False
+        )
+
+    def _attach(self) -> None:
+        """Draw with ModernGL in the window's own context."""
+        self.canvas = Canvas(window_context())
+        self._draws["Live"] = live.LivePanel(self.canvas).draw
+
+    def _guarded(self, name: str, draw: Callable[[Console], None]) -> None:
+        """Draw a part; what it raises is told once, and the window lives."""
+        try:
+            draw(self.console)
+        except Exception as bug:
+            words = f"{type(bug).__name__}: {bug}"
+            if words not in self._failed:
+                self._failed.add(words)
+                logger.exception("the panel %s failed", name)
+                self.console.journal.add("error", name, f"[bug] {words} {traceback.format_exc(limit=-1)}")
+
+    def _every_frame(self, console: Console) -> None:
+        """Take keys, do what is due, and draw what floats."""
+        self._keys(console)
+        console.tick()
+        console_busy = console.running or (console.state is not None and console.state.live)
+        self.params.fps_idling.fps_idle = BUSY_HZ if console_busy else IDLE_HZ
+        if console.reviewing:
+            self._review(console)
+        if console.shows_keys:
+            _key_list(console)
+
+    def _keys(self, console: Console) -> None:
+        """Take keys; STOP is read raw, since a routed key is kept by a field that is being edited."""
+        if imgui.is_key_pressed(imgui.Key.escape, False):  # noqa: FBT003  the library's
+            console.stop()
+        for binding in BINDINGS:
+            if binding.key == "escape":
+                continue
+            chord: int = getattr(imgui.Key, binding.key) | (imgui.Key.mod_ctrl if binding.ctrl else 0)
+            flags = imgui.InputFlags_.route_global | (imgui.InputFlags_.repeat if binding.repeats else 0)
+            if imgui.shortcut(chord, flags):
+                binding.do(console)
+
+    def _menu(self, console: Console) -> None:
+        """Draw STOP, its release, and how the run stands, where nothing can clip them."""
+        with w.coloured(w.RED):
+            if imgui.button("STOP (Esc)"):
+                console.stop()
+        if console.stopped:
+            imgui.text_colored(w.ORANGE, "STOPPED")
+            if imgui.button("Release"):
+                console.release_stop()
+        run = console.run
+        if console.running and run is not None:
+            _progress(console, run)
+        if imgui.small_button("Keys (F1)"):
+            console.shows_keys = not console.shows_keys
+
+    def _status(self, console: Console) -> None:
+        bench, state = console.bench, console.state
+        name = bench.rig.name if bench.rig is not None else "no instrument"
+        if not bench.connected:
+            imgui.text_colored(w.ORANGE, f"{name}: not answering")
+            return
+        holder = state.holder if state is not None else ""
+        imgui.text(f"{name} · {state.state if state is not None else ''} ·")
+        imgui.same_line()
+        if bench.commands:
+            imgui.text("this console commands")
+        elif imgui.small_button(f"{holder or 'nobody'} commands: take it when free"):
+            bench.take_command()
+
+    def _review(self, console: Console) -> None:
+        """Draw what is about to be started; not modal, so that STOP stays within reach."""
+        imgui.set_next_window_size(w.em(30, 0), imgui.Cond_.appearing)
+        imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing, imgui.ImVec2(0.5, 0.5))
+        _, opened = imgui.begin("Review before the start", True)  # noqa: FBT003  the library's
+        console.reviewing = bool(opened)
+        for line in review_words(console):
+            w.words(line)
+        why_not = console.why_no_start()
+        if w.button("Start now", why_not):
+            console.start_run()
+        imgui.same_line()
+        if imgui.button("Back"):
+            console.reviewing = False
+        if why_not:
+            w.words(f"! {why_not}", w.ORANGE)
+        imgui.end()
+
+
+def review_words(console: Console) -> list[str]:
+    """Return everything that matters before a start, a line for each."""
+    form, planned, state = console.form, console.planned, console.state
+    lines = [f"name: {form.name}    operator: {form.operator or console.bench.actor}"]
+    if planned is not None and not isinstance(planned, StereotomeError):
+        lines += [
+            f"from {planned.first_um:+.2f} to {planned.last_um:+.2f} µm, {form.direction}, then to {form.return_to}",
+            *stack.cost_words(planned),
+            f"data: {planned.folder}",
+        ]
+    if state is not None:
+        lines.append(f"camera: {state.camera}, {form.exposure_ms or state.exposure_ms:g} ms")
+    if form.sections.wanted:
+        sections = form.sections
+        lines.append(f"CUTS {sections.count} sections of {sections.thickness_nm:g} nm: this cannot be undone")
+    return [*lines, f"notes: {form.notes or '-'}"]
+
+
+def _progress(console: Console, run: Any) -> None:
+    left = "" if run.left_s is None else f" · {took(run.left_s)} left"
+    section = f"section {run.section + 1}/{run.sections} · " if run.sections > 1 else ""
+    colour = w.ORANGE if run.state in {"HOLD", "PAUSED"} else w.BLUE
+    imgui.text_colored(colour, f"{run.state} · {section}{run.durable}/{run.planned} planes{left}")
+    imgui.progress_bar(run.durable / max(run.planned, 1), w.em(8, 0), "")
+    why_not = "" if console.bench.commands else "this console does not command"
+    if run.state == "PAUSED":
+        if w.button("Resume##menu", why_not):
+            console.resume()
+    elif w.button("Pause##menu", why_not):
+        console.pause()
+
+
+def _key_list(console: Console) -> None:
+    imgui.set_next_window_size(w.em(32, 0), imgui.Cond_.appearing)
+    _, opened = imgui.begin("Keys", True)  # noqa: FBT003  the library's
+    console.shows_keys = bool(opened)
+    if imgui.begin_table("keys", 2):
+        for shown, words in (*((binding.shown, binding.words) for binding in BINDINGS), *MOUSE):
+            imgui.table_next_column()
+            imgui.text(shown)
+            imgui.table_next_column()
+            imgui.text(words)
+        imgui.end_table()
+    imgui.end()
+
+
+def _configure() -> None:
+    """Let an unfinished panel be mended instead of ending the program; pads do not click on widgets."""
+    hello_imgui.imgui_default_settings.setup_default_imgui_config()
+    io = imgui.get_io()
+    io.config_error_recovery_enable_assert = False
+    io.config_error_recovery_enable_tooltip = False
+    io.config_flags &= ~imgui.ConfigFlags_.nav_enable_gamepad

@@ -1,0 +1,94 @@
+"""Drives the real console in a process of its own: ``python hand.py FUNCTION CONNECTION FOLDER SCALE``.
+
+The function is one of `driven`, and is given a `Hand`. The program ends with 0, or with what went wrong.
+"""
+
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+
+from imgui_bundle import imgui
+from imgui_bundle.immapp import testing
+
+from display.console.app import opened
+from display.console.instrument import Served
+from display.console.window import ConsoleWindow
+
+PATIENCE = 1500  # frames
+KEY = imgui.Key
+MENU = "//##MainMenuBar/##MenuBar"
+
+
+class Hand:
+    """An operator's hand, and eyes that wait."""
+
+    def __init__(self, ctx, console, window, folder):
+        self.ctx = ctx
+        self.console = console
+        self.window = window
+        self.folder = folder
+
+    def wait(self, wanted):
+        """Let frames pass until something holds, and return it."""
+        for _ in range(PATIENCE):
+            if found := wanted():
+                return found
+            self.ctx.yield_()
+        told = "\n".join(map(str, self.console.journal.lines()))
+        raise AssertionError(f"it did not come. State {self.console.state}, journal:\n{told}")
+
+    def wait_state(self, *states):
+        """Wait for a state of the run."""
+        return self.wait(lambda: self.console.run is not None and self.console.run.state in states)
+
+    def at(self, z_um):
+        """Wait until the stage is told to be at a place."""
+        self.wait(lambda: abs(self.console.state.z_um - z_um) < 0.3 and not self.console.jogger.under_way)
+
+    def click(self, *path):
+        """Click what lies at a path, once it may be clicked."""
+        ref = "/".join(path)
+        disabled = int(imgui.ItemFlags_.disabled)
+
+        def able():
+            found = self.ctx.item_info(ref, imgui.test_engine.TestOpFlags_.no_error)
+            return found.id_ and not found.item_flags & disabled
+
+        self.wait(able)
+        self.ctx.item_click(ref)
+
+    def enter(self, ref, value):
+        """Type a value into a field."""
+        self.ctx.item_input_value(ref, value)
+
+    def key(self, chord):
+        """Press a key."""
+        self.ctx.key_press(chord)
+
+    def shot(self, name):
+        """Take a picture of the window."""
+        self.ctx.yield_(2)
+        testing.capture(self.ctx, str(self.folder / f"{name}.png"))
+
+
+def main(function, connection, folder, scale):
+    import driven
+
+    with ExitStack() as stack:
+        console = opened(Served(Path(connection)), stack)
+        console.form.folder = str(Path.cwd() / "run-{run}")
+        window = ConsoleWindow(console, scale=float(scale), remembers=False)
+
+        def drive(ctx):
+            hand = Hand(ctx, console, window, Path(folder))
+            engine = imgui.test_engine.get_io(ctx.engine)
+            engine.config_watchdog_warning = engine.config_watchdog_kill_test = 1e6
+            hand.wait(lambda: console.bench.commands)
+            getattr(driven, function)(hand)
+            assert window.canvas.context.error == "GL_NO_ERROR"
+
+        testing.run(test_function=drive, runner_params=window.params)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,241 @@
+"""What the console knows and does, without a window: pure functions, and the model over an instrument that is faked."""
+
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from acquire import replies, requests
+from acquire.recipe import recipe_from_text
+from devices.errors import LimitError, StereotomeError
+from display.console import contrast as grey
+from display.console import placing as p
+from display.console import settings as remembered
+from display.console.eyes import look
+from display.console.journal import Journal, event_words
+from display.console.keys import BINDINGS
+from display.console.model import Console
+from display.console.moving import Jogger, Marks
+from display.console.stack_form import Advice, SectionsForm, StackForm
+
+
+def histogram(pixels, top=4095):
+    return look(1, np.asarray(pixels, np.uint16), None, top).histogram
+
+
+def test_limits_leave_out_no_more_than_is_ignored():
+    rng = np.random.default_rng(3)
+    pixels = np.clip(rng.normal(2000, 300, (200, 200)), 0, 4095)
+    low, high = grey.spread(histogram(pixels), 1.0)
+    width = 4096 / 256
+    assert np.mean(pixels < low - width) <= 0.01 <= np.mean(pixels < low + width)
+    assert np.mean(pixels > high + width) <= 0.01 <= np.mean(pixels > high - width)
+
+
+def test_shares_at_the_ends_count_every_pixel():
+    pixels = np.full((10, 10), 100, np.uint16)
+    pixels[0, :3], pixels[1, :2] = 4095, 0
+    seen = look(1, pixels, None, 4095)
+    assert (seen.over, seen.under, seen.histogram.counts.sum()) == (0.03, 0.02, 100)
+
+
+@given(st.floats(-1e4, 1e4), st.sampled_from(["low", "high"]))
+def test_dragged_ends_never_pass_each_other_nor_leave_the_scale(level, end):
+    made = grey.dragged(grey.Contrast(1000, 2000, auto="continuous"), end, level, 4095)
+    assert 0 <= made.low < made.high <= 4095
+    assert made.auto == "off"
+
+
+@given(
+    st.tuples(st.integers(1, 4000), st.integers(1, 4000)),
+    st.tuples(st.floats(10, 3000), st.floats(10, 3000)),
+    st.floats(-4, 9),
+    st.floats(0, 1),
+    st.floats(0, 1),
+)
+def test_what_is_under_the_mouse_stays_there_when_it_is_enlarged(picture, panel, steps, x, y):
+    before = p.fit(picture, panel, p.Placing(2.0, 0.4, 0.6))
+    at = before.place_of(x * picture[0], y * picture[1])
+    placing = p.zoomed(p.Placing(2.0, 0.4, 0.6), steps, at, before, panel)
+    after = p.fit(picture, panel, placing)
+    if placing.zoom > 1 and 0 < placing.x < 1 and 0 < placing.y < 1:
+        assert after.place_of(x * picture[0], y * picture[1]) == pytest.approx(at, abs=1e-6 * max(panel))
+
+
+@given(st.floats(1e-4, 1e3), st.floats(50, 4000))
+def test_a_scale_bar_is_round_and_fits(um, width):
+    length_um, length = p.scale_bar(um, width)
+    assert length <= width / 4 * (1 + 1e-9)
+    assert length > width / 4 / 2.6
+    assert f"{length_um:e}"[0] in "125" or f"{length_um:.0e}"[0] in "125"
+
+
+def test_wishes_to_move_add_up_while_a_move_is_under_way():
+    jogger = Jogger(chosen=1)
+    jogger.jog(1)
+    assert jogger.due_um() == 0.5
+    jogger.jog(2)
+    jogger.jog(1, faster=True)
+    assert jogger.due_um() == 0
+    jogger.done()
+    assert jogger.due_um() == 6.0
+
+
+@given(
+    st.sampled_from(["planes", "step", "nyquist", "dof"]),
+    st.booleans(),
+    st.text("abc \"'\\µ\n", max_size=20),
+    st.integers(2, 500),
+    st.floats(0.01, 50),
+)
+def test_every_form_makes_a_recipe(spacing, marked, notes, planes, step_um):
+    marks = Marks(top_um=-3.0, bottom_um=4.0) if marked else Marks()
+    form = StackForm(notes=notes, marks=marks, spacing=spacing, planes=planes, step_um=step_um)
+    recipe = recipe_from_text(form.recipe(), "form")
+    assert recipe.notes == notes
+    assert recipe.stack.range_um(0.0) == ((-3.0, 4.0) if marked else (-10.0, 10.0))
+    sections = StackForm(marks=marks, sections=SectionsForm(wanted=True, count=3, thickness_nm=70))
+    assert recipe_from_text(sections.recipe(), "form").sections.sections == 3
+    assert "process" not in tomllib.loads(sections.recipe())
+
+
+def test_overlap_is_that_of_depths_of_field():
+    assert Advice(0.8, 1.0).overlap_percent(0.25) == 75
+    assert Advice(0.8, 1.0).overlap_percent(-2.0) == 0
+
+
+def test_no_unmodified_letter_moves_hardware():
+    moving = ("stage", "go to", "start")
+    for binding in BINDINGS:
+        if len(binding.shown) == 1 and binding.shown.isalpha():
+            assert not any(word in binding.words for word in moving), binding
+    assert len({(binding.key, binding.ctrl) for binding in BINDINGS}) == len(BINDINGS)
+
+
+def test_settings_come_back_and_a_damaged_file_is_left_aside(tmp_path):
+    remembered.save(tmp_path, replace(remembered.Settings(), table="viridis", jog=1))
+    assert remembered.load(tmp_path).table == "viridis"
+    (tmp_path / remembered.NAME).write_text('{"table": 5, "gamma": 2, "jog": "x", "other": 1}')
+    assert remembered.load(tmp_path) == replace(remembered.Settings(), gamma=2)
+    (tmp_path / remembered.NAME).write_text("[")
+    assert remembered.load(tmp_path) == remembered.Settings()
+
+
+def test_events_come_in_words_and_planes_do_not():
+    assert event_words({"event": "plane", "plane": 3}) is None
+    assert event_words({"event": "hold", "question": "Debris?"}) == ("warning", "HOLD: Debris?")
+    assert event_words({"event": "done", "state": "COMPLETED", "folder": "/d"})[0] == "info"
+
+
+class FakeBench:
+    """Answers nothing by itself; says what it was asked."""
+
+    def __init__(self):
+        self.connected, self.commands, self.stop_asked, self.rig, self.actor = True, True, False, None, "ann"
+        self.asked, self.stops = [], 0
+        self.state = replies.State(
+            state="IDLE",
+            z_um=1.0,
+            z_age_s=0.0,
+            live=False,
+            exposure_ms=2.0,
+            ring="",
+            camera="",
+            holder="ann",
+            stopped=False,
+        )
+
+    def ask(self, request, place, answered=None, *, quiet=False):
+        self.asked.append((request, answered))
+
+    def stop(self):
+        self.stops += 1
+        self.stop_asked = True
+
+    def settle(self):
+        pass
+
+
+class FakeEyes:
+    seen = None
+    kept = None
+
+
+@pytest.fixture
+def console():
+    return Console(FakeBench(), FakeEyes(), Journal(), remembered.Settings())
+
+
+PLANNED = replies.Planned(
+    folder="/d", planes=21, sections=1, planes_each=21, first_um=0, last_um=20, step_um=1, seconds=9, dose_s=1,
+    bytes_on_disk=10, needed_bytes=20, free_bytes=30,
+)  # fmt: skip
+
+
+def test_a_stop_forgets_what_was_wanted(console):
+    console.jog(1)
+    console.stop()
+    console.tick()
+    assert console.bench.stops == 1
+    assert not any(isinstance(request, requests.JogStage) for request, _ in console.bench.asked)
+
+
+def test_nothing_is_moved_while_it_must_not(console):
+    console.bench.stop_asked = True
+    console.jog(1)
+    console.tick()
+    assert "STOP" in console.notice
+    console.go(3.0)
+    assert all(isinstance(request, requests.PlanRun) for request, _ in console.bench.asked)
+
+
+def test_a_refusal_is_told_beside_the_stage_and_ends_the_wish(console):
+    console.jog(1)
+    console.tick()
+    request, answered = next(each for each in console.bench.asked if isinstance(each[0], requests.JogStage))
+    assert request.by_um == 2.0
+    console.jog(5)
+    answered(LimitError("+900 µm is outside."))
+    assert "outside" in console.notice
+    assert console.jogger.due_um() == 0
+
+
+def test_a_full_disk_or_a_wrong_plan_blocks_the_start(console):
+    assert "being made" in console.why_no_start()
+    console.planned = replace_planned(free_bytes=5)
+    assert "disk" in console.why_no_start()
+    console.planned = StereotomeError("no.", code="config")
+    assert "[config]" in console.why_no_start()
+    console.start_run()
+    assert not any(isinstance(request, requests.StartRun) for request, _ in console.bench.asked)
+    console.planned = PLANNED
+    assert not console.why_no_start()
+    console.start_run()
+    assert isinstance(console.bench.asked[-1][0], requests.StartRun)
+
+
+def replace_planned(**changed):
+    import msgspec
+
+    return msgspec.structs.replace(PLANNED, **changed)
+
+
+def test_marks_go_when_zero_moves(console):
+    console.mark("top")
+    assert console.form.marks.top_um == 1.0
+    console.zero()
+    assert console.form.marks == Marks()
+
+
+def test_the_plan_is_asked_for_once_and_again_when_the_form_changes(console):
+    for _ in range(3):
+        console.tick()
+    assert len(console.bench.asked) == 1
+    console.bench.asked[0][1](PLANNED)
+    console.tick()
+    console.form.planes = 9
+    console.tick()
+    assert [type(request) for request, _ in console.bench.asked] == [requests.PlanRun, requests.PlanRun]
