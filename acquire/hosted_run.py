@@ -149,11 +149,11 @@ class HostedRun:
         return recipe, run_folder(recipe, self._rig.spec, out, datetime.now(UTC).astimezone())
 
     def _begin(self, name: str, session: Session) -> Started:
+        self._thread = threading.Thread(target=self._execute, args=[session], name="run")  # from here on it is active
         self._name, self._session, self._outcome = name, session, None
-        self._number += 1
         self._started_s = self._clock.now()
         self._taken_before = session.status.durable
-        self._thread = threading.Thread(target=self._execute, args=[session], name="run")
+        self._number += 1  # last: whoever is told this number must not be told that nothing is under way
         self._thread.start()
         return Started(number=self._number, folder=str(session.folder), planned=len(session.plan))
 
