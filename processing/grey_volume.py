@@ -1,0 +1,140 @@
+"""A volume as it was stored: its own values, never mapped, with what is known of its scale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from acquire.progress import progress
+from devices.errors import InputError
+from processing.memory import check_memory
+from processing.neighbours import CUBIC, Spacing, checked_spacing
+from processing.readers import Choice, Recording, as_picture, reading
+from processing.resample import mean_step
+from processing.stack import guarded, plausible_pixel, positions, read_any
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[Any]
+
+EVEN = 0.01  # of the mean step; planes that differ by more are said to
+WORK_COPIES = 3  # of the volume that a measurement holds at most
+
+
+@dataclass(frozen=True)
+class GreyVolume:
+    """Values and scale.
+
+    Attributes
+    ----------
+    values : array (z, y, x)
+        Of the type they were stored in.
+    spacing_um : tuple of float, optional
+        Distance of voxels along (z, y, x); None when it is not known.
+    start_um : float
+        Where the first plane is.
+    source : str
+    notes : tuple of str
+        What was assumed, in words for the user.
+    """
+
+    values: Array
+    spacing_um: Spacing | None = None
+    start_um: float = 0.0
+    source: str = ""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def spacing(self) -> Spacing:
+        """Distance of voxels; of cubes of size 1 when it is not known."""
+        return self.spacing_um or CUBIC
+
+    @property
+    def unit(self) -> str:
+        """Of lengths."""
+        return "µm" if self.spacing_um else "voxels"
+
+
+def read_volume(
+    path: Path | str,
+    *,
+    pixel_um: float | None = None,
+    step_um: float | None = None,
+    channel: int | None = None,
+    time: int = 0,
+    quiet: bool = True,
+) -> GreyVolume:
+    """Read all of a volume that `processing.stack.open_stack` would read, its values as they are.
+
+    Parameters
+    ----------
+    pixel_um, step_um : float, optional
+        Size of a pixel and distance of planes; go before what the file says.
+    channel, time : int, optional
+        Which one to take, counted from 0.
+    quiet : bool
+        Show no progress.
+
+    Raises
+    ------
+    InputError
+        As `open_stack`; ``volume-shape`` for colour; ``spacing``, ``memory``.
+    """
+    source = Path(path)
+    with reading(source):
+        recording = read_any(source, Choice(channel, time))
+    if not recording.count:
+        raise InputError(f"{source} holds no plane.", fix="give a stack of at least one plane.", code="stack-empty")
+    recording = plausible_pixel(guarded(source, recording))
+    z_um, said = positions(recording, step_um)
+    values = _planes(recording, source, quiet=quiet)
+    spacing, notes = _spacing(recording, z_um, pixel_um)
+    if z_um is not None and z_um[0] > z_um[-1]:
+        values, z_um = values[::-1], z_um[::-1]
+    start_um = 0.0 if z_um is None or spacing is None else float(z_um[0])
+    return GreyVolume(values, spacing, start_um, str(source), (*recording.notes, *said, *notes))
+
+
+def _planes(recording: Recording, source: Path, *, quiet: bool) -> Array:
+    first = as_picture(recording.read(0))
+    if first.ndim != 2:
+        raise InputError(
+            f"{source} is in colour; one value for each voxel is needed.",
+            fix="save one band, or give a file with channels and choose one: --channel N",
+            code="volume-shape",
+        )
+    needed = WORK_COPIES * recording.count * first.nbytes
+    check_memory(needed, f"{source}", "bin it first: stereotome process resample --bin 2")
+    values = np.empty((recording.count, *first.shape), first.dtype)
+    with progress("reading planes", recording.count, quiet=quiet) as tell:
+        for k in range(recording.count):
+            plane = as_picture(recording.read(k))
+            if plane.shape != first.shape:
+                raise InputError(
+                    f"{source}: {recording.label(0)} is {first.shape}, {recording.label(k)} is {plane.shape}.",
+                    fix="give planes of one size; put images that do not belong to the stack elsewhere.",
+                    code="stack-shape",
+                )
+            values[k] = plane
+            tell(k + 1)
+    return values
+
+
+def _spacing(
+    recording: Recording, z_um: NDArray[np.float64] | None, pixel_um: float | None
+) -> tuple[Spacing | None, list[str]]:
+    pixel = pixel_um if pixel_um is not None else recording.pixel_um
+    if pixel is None or (z_um is None and recording.count > 1):
+        missing = " and ".join(w for w, known in (("pixels", pixel), ("steps", z_um)) if known is None)
+        words = f"the size of {missing} is not known: lengths are in voxels, which count as cubes of side 1"
+        return None, [f"{words}; give --pixel-um and --step-um for µm."]
+    if z_um is None:
+        return checked_spacing((pixel, pixel, pixel)), ["one plane: it counts as thick as a pixel is wide."]
+    step = mean_step(z_um)
+    uneven = float(np.abs(np.abs(np.diff(z_um)) / step - 1).max())
+    notes = [f"steps differ by up to {uneven:.0%}: their mean is taken; resample for more."] if uneven > EVEN else []
+    return checked_spacing((step, pixel, pixel)), notes

@@ -1,0 +1,134 @@
+"""What a measurement leaves: tables, pictures, and a page to be read."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from processing import measure_plots as plots
+from processing import pages
+from processing.result_folder import csv_bytes
+from processing.thresholds import histogram
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from processing.grey_volume import GreyVolume
+    from processing.measuring import Measurement
+
+    Array = NDArray[Any]
+
+TABLES = ("features.csv", "features.parquet", "numbers.csv")
+PICTURES = ("cuts.png", "sizes.png", "sizes.svg", "size_and_shape.png", "size_and_shape.svg")
+GREY_PICTURES = ("grey_values.png", "grey_values.svg")
+SHOWN_FEATURES = 30
+PLACES = {f"{axis}_{unit}" for axis in "zyx" for unit in ("um", "voxels")} | {f"axis1_{axis}" for axis in "zyx"}
+CAPTIONS = {
+    "cuts.png": "Cuts through the fullest plane across z (upper left), x (right) and y (below); features outlined.",
+    "grey_values.png": "Grey values of all voxels; the line is the threshold.",
+    "sizes.png": "Sizes of the features.",
+    "size_and_shape.png": "Shape over size; 1 is a ball.",
+}
+WORDS = {"per_um3": "1/µm³", "per_um": "1/µm", "um3": "µm³", "um2": "µm²", "um": "µm"}
+VOXEL_WORDS = {
+    "per_voxels3": "1/voxel",
+    "per_voxels": "1/side of a voxel",
+    "voxels3": "voxels",
+    "voxels2": "sides of voxels",
+    "voxels": "voxels",
+}
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Return a column's name in words and its unit: ``mean_intercept_um`` is mean intercept in µm."""
+    for ending, unit in (WORDS | VOXEL_WORDS).items():
+        if name.endswith("_" + ending):
+            return name.removesuffix("_" + ending).replace("_", " "), unit
+    return name.replace("_", " "), ""
+
+
+def tables(found: Measurement) -> dict[str, bytes]:
+    """Encode the features as CSV and Parquet, and the numbers of the whole as CSV."""
+    columns = list(found.table)
+    rows = zip(*(column.tolist() for column in found.table.values()), strict=True)
+    numbers = [[*split_unit(name), n.value, n.error, n.how] for name, n in found.numbers.items()]
+    return {
+        "features.csv": csv_bytes(columns, rows),
+        "features.parquet": parquet_bytes(found.table),
+        "numbers.csv": csv_bytes(["name", "unit", "value", "standard_error", "how"], numbers),
+    }
+
+
+def parquet_bytes(table: Mapping[str, Array]) -> bytes:
+    """Encode a table as Parquet; names of columns carry the units."""
+    file = BytesIO()
+    pq.write_table(pa.table({name: pa.array(column) for name, column in table.items()}), file)
+    return file.getvalue()
+
+
+def pictures(found: Measurement, volume: GreyVolume, seen: Array) -> dict[str, bytes]:
+    """Draw cuts and plots."""
+    table, unit = found.table, volume.unit
+    size = table["diameter_um" if volume.spacing_um else "diameter_voxels"]
+    made = {"cuts.png": plots.cuts(seen, found.labels, volume.spacing)}
+    if found.threshold is not None:
+        made |= plots.grey_histogram(*histogram(volume.values), found.threshold)
+    made |= plots.size_histogram(size, table["at_border"], unit)
+    return made | plots.size_and_shape(size, table["sphericity"], table["at_border"], unit)
+
+
+def page(found: Measurement, report: Mapping[str, Any], shown: Mapping[str, bytes]) -> bytes:
+    """Write the page: notes first, then numbers, features, and where it all comes from."""
+    parts = [pages.paragraph(_first_words(found, report)), pages.notes(report["notes"])]
+    parts += [pages.picture(shown["cuts.png"], CAPTIONS["cuts.png"]), pages.heading("The whole")]
+    rows = [(*split_unit(name), n.value, n.error, n.how) for name, n in found.numbers.items()]
+    parts += [pages.table(["", "unit", "value", "standard error", "how"], rows)]
+    parts += [pages.heading("Features"), _summary(found.table)]
+    parts += [pages.picture(shown[name], CAPTIONS[name]) for name in CAPTIONS if name in shown and name != "cuts.png"]
+    parts += [pages.heading("The largest"), _largest(found.table)]
+    parts += [pages.heading("What was asked for"), pages.facts(report["question"])]
+    parts += [pages.heading("Where it comes from"), pages.facts({**report["input"], **report["versions"]})]
+    return pages.page(f"Measurement of {report['input']['source']}", parts)
+
+
+def _first_words(found: Measurement, report: Mapping[str, Any]) -> str:
+    given = report["input"]
+    size = " × ".join(map(str, given["shape"]))
+    if given["spacing_um"]:
+        scale = "voxels of " + " × ".join(f"{s:.4g}" for s in given["spacing_um"]) + " µm (z, y, x)"
+    else:
+        scale = "voxels of unknown size: lengths are in voxels"
+    level = "" if found.threshold is None else f" Threshold {found.threshold:.5g}."
+    return f"{len(found.table['feature'])} features in {size} voxels (planes, rows, columns); {scale}.{level}"
+
+
+def _summary(table: Mapping[str, Array]) -> str:
+    """Of features that the border does not cut; of all where it cuts each."""
+    whole = ~table["at_border"]
+    chosen, words = (whole, "that the border does not cut") if whole.any() else (~whole, "all of which the border cuts")
+    rows = []
+    for name, column in table.items():
+        if column.dtype.kind == "f" and name not in PLACES:
+            values = column[chosen]
+            values = values[np.isfinite(values)]
+            if values.size:
+                spread = float(values.std(ddof=1)) if values.size > 1 else None
+                middle = [float(v) for v in (values.mean(), np.median(values), values.min(), values.max())]
+                rows.append([*split_unit(name), middle[0], spread, *middle[1:]])
+    head = ["", "unit", "mean", "standard deviation", "median", "smallest", "largest"]
+    return pages.paragraph(f"{np.count_nonzero(chosen)} features {words}:") + pages.table(head, rows)
+
+
+def _largest(table: Mapping[str, Array]) -> str:
+    order = np.argsort(-table["voxels"], kind="stable")[:SHOWN_FEATURES]
+    names = [" ".join(filter(None, (words, unit and f"({unit})"))) for words, unit in map(split_unit, table)]
+    rows = [[column[k].item() for column in table.values()] for k in order]
+    left = len(table["feature"]) - len(order)
+    more = f"{left} more are in features.csv and features.parquet." if left else "They are in features.csv, too."
+    return pages.table(names, rows) + pages.paragraph(more)
