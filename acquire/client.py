@@ -23,6 +23,7 @@ from acquire import replies, requests
 from acquire.client_io import SILENT_S, Wires
 from acquire.keys import ClientKeys
 from acquire.meeting import CHANNELS, Meeting, ServerGone, find_meeting
+from acquire.state import FINAL
 from acquire.viewer import RingViewer
 from devices.clock import SystemClock
 from devices.errors import DeviceBusy, InputError, StereotomeError
@@ -276,7 +277,8 @@ class Instrument:
         number = self._run_number
 
         def over(state: replies.State) -> bool:
-            return state.run is not None and state.state == "IDLE" and state.run.number >= number
+            run = state.run
+            return run is not None and state.state == "IDLE" and run.number >= number and run.state in FINAL
 
         run = self.wait_for(over, timeout_s).run
         assert run is not None

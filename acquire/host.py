@@ -69,8 +69,14 @@ class Host:
     @property
     def state(self) -> str:
         """``IDLE``, or the state of the run under way."""
-        view = self.run.view() if self.run.active else None
-        return IDLE if view is None else view.state
+        return self._standing()[0]
+
+    def _standing(self) -> tuple[str, replies.RunView | None]:
+        """Return the state and how the run stands, both of one moment: a run may begin or end in between."""
+        while True:
+            active, view = self.run.active, self.run.view()
+            if active == self.run.active:
+                return view.state if active and view else IDLE, view
 
     @property
     def ring(self) -> str:
@@ -91,9 +97,10 @@ class Host:
     def now(self) -> replies.State:
         """Return how things stand; asks no device."""
         known = self._z_um == self._z_um
+        state, run = self._standing()
         height_width = " x ".join(str(side) for side in self.live.caps.shape)
         return replies.State(
-            state=self.state,
+            state=state,
             z_um=self._z_um if known else None,
             z_age_s=round(self._clock.now() - self._z_read_s, 3),
             live=self.live.running,
@@ -102,7 +109,7 @@ class Host:
             camera=f"{height_width} {self.live.caps.dtype}",
             holder=self._holder,
             stopped=self._stopped,
-            run=self.run.view(),
+            run=run,
             feed=self._feed_view,
             utc_ns=time.time_ns(),
         )

@@ -109,9 +109,12 @@ class _PlaneFiles:
 
     def write(self, slot: int, pixels: np.ndarray) -> None:
         planar = pixels[np.newaxis] if self._layout.bands == 1 else np.moveaxis(pixels, -1, 0)
-        self._plane(slot).write(planar).result()  # the library syncs the file and its own folder
         section, band, plane = self._layout.place(slot)
         folder = self._grid / str(section) / str(band) / str(plane)
+        # A process killed while it wrote leaves the library's half-written file, and the library would write over its
+        # beginning only: what is longer stays. The run's journal is locked: nobody else writes here.
+        (folder / "0" / "0.__lock").unlink(missing_ok=True)
+        self._plane(slot).write(planar).result()  # the library syncs the file and its own folder
         for made in (folder, *folder.parents[: 2 if section == band == 0 else 4]):
             sync_folder(made)
 

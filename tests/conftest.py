@@ -1,6 +1,7 @@
 """What tests share."""
 
 import os
+import signal
 import threading
 import tty
 from contextlib import ExitStack
@@ -12,6 +13,9 @@ from hypothesis import HealthCheck, settings
 from devices.clock import SystemClock
 from sim.controllers.open3d import Emitter
 from sim.pytest_plugin import SimBench, StartBench
+
+# a shell that starts the tests in the background has them and all their children ignore Ctrl-C
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # how long an example takes says nothing on a machine that does other things as well
 settings.register_profile("busy-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -261,7 +261,7 @@ def test_a_signal_ends_it_and_nothing_stays(tmp_path, end, code):
         camera.ask("trigger")
         assert len(frame_files(process.pid)) == 1
         process.send_signal(end)
-        assert process.wait(timeout=20) == code
+        assert process.wait(timeout=100) == code
     assert not frame_files(process.pid)
     assert not Path(told["instrument"]).parent.exists()  # a folder it made itself goes with it
     with pytest.raises(OSError, match=r"refused|reset"):

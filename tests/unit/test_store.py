@@ -194,3 +194,16 @@ def test_a_run_that_goes_on_is_not_ended(store):
     assert open_run(store.folder).state is RunEnd.RUNNING
     again.close()
     assert open_run(store.folder).state is RunEnd.INTERRUPTED
+
+
+def test_what_a_killed_process_left_half_written_is_not_written_over_but_away(store):
+    store.close()
+    half = store.folder / "focal.ome.zarr/0/c/0/0/0/0/0.__lock"
+    half.parent.mkdir(parents=True)
+    half.write_bytes(b"longer than a plane" * 10_000)
+    again = RunStore.reopen(store.folder, SystemClock())
+    again.put(frame_of(0))
+    again.commit()
+    again.close()
+    np.testing.assert_array_equal(open_run(store.folder).read(0), pixels_of(0))
+    assert not half.exists()
