@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
@@ -62,6 +62,8 @@ class FocalArray:
         ``"#rrggbb"`` of each band.
     interval_s : float or None
         From one point in time to the next; None for sections.
+    levels : int
+        Arrays of the pyramid, 0 and on, each with half the pixels along y and x of the one before.
     """
 
     planned: int
@@ -75,6 +77,7 @@ class FocalArray:
     channels: tuple[str, ...] = ()
     colours: tuple[str | None, ...] = ()
     interval_s: float | None = None
+    levels: int = 1
 
     @property
     def bands(self) -> int:
@@ -170,19 +173,27 @@ class FocalArray:
                 {"name": "y", "type": "space", **lateral},
                 {"name": "x", "type": "space", **lateral},
             ],
-            "datasets": [
-                {
-                    "path": "0",
-                    "coordinateTransformations": [
-                        {"type": "scale", "scale": [self.interval_s or 1.0, 1.0, self.step_um or 1.0, pixel, pixel]},
-                        {"type": "translation", "translation": [0.0, 0.0, self.start_um, 0.0, 0.0]},
-                    ],
-                }
-            ],
+            "datasets": [self._dataset(level, pixel) for level in range(self.levels)],
         }
         ome = {"version": "0.5", "multiscales": [multiscale], "omero": {"channels": self._channels()}}
         attributes = {"ome": ome, "stereotome": extra or {}}
         return {"zarr_format": 3, "node_type": "group", "attributes": attributes}
+
+    def _dataset(self, level: int, pixel_um: float) -> dict[str, Any]:
+        """Say where a level of the pyramid lies: its first pixel is the middle of those it stands for."""
+        side, first = pixel_um * 2**level, pixel_um * (2**level - 1) / 2
+        return {
+            "path": str(level),
+            "coordinateTransformations": [
+                {"type": "scale", "scale": [self.interval_s or 1.0, 1.0, self.step_um or 1.0, side, side]},
+                {"type": "translation", "translation": [0.0, 0.0, self.start_um, first, first]},
+            ],
+        }
+
+    def level(self, level: int) -> FocalArray:
+        """Return the layout of a level of the pyramid; a last odd row or column has a pixel of its own."""
+        height, width = (-(-n // 2**level) for n in self.shape[:2])
+        return replace(self, shape=(height, width, *self.shape[2:]))
 
     def _channels(self) -> list[dict[str, Any]]:
         top = 255 if self.dtype == "uint8" else 65535

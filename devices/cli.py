@@ -47,7 +47,7 @@ COMMAND_HELP = {
     "glasses test": "Measure the link to the glasses and how evenly turns are given.",
     "keys": "Make keys for clients of an instrument process on other computers.",
     "process": "Make pictures and measurements from stacks.",
-    "process apply": "Take the steps of a pipeline on a range image or a stack.",
+    "process apply": "The same as process volume, data first: steps of a pipeline on a range image or a stack.",
     "process deblur": "Take the blur out of a stack of fluorescence.",
     "process elevation": "Measure the elevation of a surface from two views at a known tilt.",
     "process focus": "Make an extended-focus image and a range image from a focal stack.",

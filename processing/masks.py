@@ -14,7 +14,7 @@ import numpy as np
 
 from devices.errors import InputError
 from processing import thresholds
-from processing.operators import Layer, operator
+from processing.operators import Layer, like, operator
 from processing.volume_filters import checked
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     Mask = NDArray[np.uint8]
 
 INSIDE = 255
+WHOLE_PLANES = (0, 1 << 40, 1 << 40)
 AS_MASK = Layer("volume", "volume", "uint8")
 
 
@@ -81,7 +82,8 @@ def some_of(inside: NDArray[np.bool_], doing: str) -> NDArray[np.bool_]:
     return inside
 
 
-@operator("mask.threshold", gives=[AS_MASK, Layer("threshold", dtype="float64")])
+@operator("mask.threshold", gives=[AS_MASK, Layer("threshold", dtype="float64")],
+          halo=lambda params: None if params["above"] is None else (0, 0, 0))  # fmt: skip
 def threshold(
     volume: Array, *, method: str = "otsu", above: float | None = None, up_to: float | None = None, dark: bool = False
 ) -> tuple[Array, np.float64]:
@@ -120,7 +122,7 @@ def threshold(
     return to_mask(~inside if dark else inside), np.float64(level)
 
 
-@operator("mask.fill_holes", gives=[AS_MASK])
+@operator("mask.fill_holes", gives=[AS_MASK], halo=lambda params: WHOLE_PLANES if params["by_plane"] else None)
 def fill_holes(volume: Array, *, by_plane: bool = False) -> Array:
     """Mask with its holes filled: background that no path along faces joins to the border of the volume.
 
@@ -147,7 +149,8 @@ def fill_holes(volume: Array, *, by_plane: bool = False) -> Array:
     return to_mask(np.stack(filled) if by_plane else np.ascontiguousarray(filled[0]))
 
 
-@operator("mask.central", gives=[Layer("volume", "volume", "volume"), Layer("mask", "volume", "uint8")])
+@operator("mask.central", gives=[like("volume"), Layer("mask", "volume", "uint8")],
+          halo=lambda params: None if params["above"] is None else WHOLE_PLANES)  # fmt: skip
 def central(
     volume: Array, *, method: str = "otsu", above: float | None = None, neck_px: float = 3.0, centre: float = 0.25
 ) -> tuple[Array, Array]:

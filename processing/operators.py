@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     Function = TypeVar("Function", bound=Callable[..., Any])
     Layers = Mapping[str, Any]
-    Halo = Callable[[Mapping[str, Any]], tuple[int, ...]]
+    Halo = Callable[[Mapping[str, Any]], tuple[int, ...] | None]
 
 GROUP = "stereotome.operators"
 # What annotations name that is imported for type checkers alone.
@@ -77,7 +77,7 @@ class Operator:
         Its results, in order.
     halo : callable, optional
         Of the parameters: how far, in pixels along each axis, a result depends on its surroundings; a part with so
-        much around it gives the same as the whole. None: on all of the input.
+        much around it gives the same as the whole. None, itself or what it returns: on all of the input.
     """
 
     name: str
@@ -195,6 +195,8 @@ def find_operator(name: str) -> Operator:
     InputError
         ``operator-unknown``.
     """
+    if name in _registered:
+        return _registered[name]
     for entry in entry_points(group=GROUP, name=name.partition(".")[0]):
         entry.load()
     if name not in _registered:

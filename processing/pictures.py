@@ -40,7 +40,8 @@ def preview(image: Array) -> Picture:
     if image.dtype == np.uint8:
         return np.asarray(image, np.uint8)
     low, high = np.percentile(image, STRETCH_PERCENT)
-    stretched = (image.astype(np.float32) - low) * (255.0 / max(high - low, 1.0))
+    spread = (high - low) or 1.0 if image.dtype.kind == "f" else max(high - low, 1.0)
+    stretched = (image.astype(np.float32) - low) * (255.0 / spread)
     return np.asarray(np.rint(np.clip(stretched, 0, 255)), np.uint8)
 
 

@@ -26,6 +26,12 @@ class Step:
         """The operator; raises `InputError` when there is none."""
         return find_operator(self.name)
 
+    @property
+    def halo(self) -> tuple[int, ...] | None:
+        """How far along each axis it looks around; None for all of the input."""
+        operator = self.operator
+        return None if operator.halo is None else operator.halo(operator.settings(self.params))
+
     @classmethod
     def parse(cls, words: str) -> Step:
         """Read ``"range.median:side_px=5:other=1"``, as it is written on a command line.

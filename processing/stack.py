@@ -47,7 +47,7 @@ class Stack(Sequence["Array"]):
     shape : tuple of int
         Of one plane: (height, width) or (height, width, 3).
     dtype : numpy.dtype
-        uint8 or uint16.
+        uint8 or uint16, or that of the file where it was opened as it is.
     """
 
     def __init__(self, source: Path, recording: Recording, z_um: NDArray[np.float64] | None) -> None:
@@ -100,7 +100,14 @@ def _words(shape: tuple[int, ...], dtype: np.dtype[Any]) -> str:
     return f"{shape[1]}×{shape[0]} px {'colour' if len(shape) == 3 else 'grey'} {dtype}"
 
 
-def open_stack(path: Path | str, *, step_um: float | None = None, channel: int | None = None, time: int = 0) -> Stack:
+def open_stack(
+    path: Path | str,
+    *,
+    step_um: float | None = None,
+    channel: int | None = None,
+    time: int = 0,
+    exact: bool = False,
+) -> Stack:
     """Open a stack of planes from a file or folder.
 
     Parameters
@@ -112,6 +119,8 @@ def open_stack(path: Path | str, *, step_um: float | None = None, channel: int |
         Distance of planes in µm; goes before what the file says.
     channel, time : int, optional
         Which channel (or image series) and time point to take, counted from 0.
+    exact : bool
+        Pixels keep their type and values; else they become 8 or 16 bit, see `camera_depth`.
 
     Returns
     -------
@@ -128,7 +137,7 @@ def open_stack(path: Path | str, *, step_um: float | None = None, channel: int |
         recording = read_any(source, Choice(channel, time))
     if not recording.count:
         raise InputError(f"{source} holds no plane.", fix="give a stack of at least one plane.", code="stack-empty")
-    recording = plausible_pixel(camera_depth(guarded(source, recording)))
+    recording = plausible_pixel((as_pictures if exact else camera_depth)(guarded(source, recording)))
     z_um, said = positions(recording, step_um)
     recording = replace(recording, notes=(*recording.notes, *said))
     return _in_order(source, recording, z_um)
@@ -247,6 +256,15 @@ def _in_order(source: Path, recording: Recording, z_um: NDArray[np.float64] | No
         notes=(*recording.notes, "planes were put in the order of their z positions."),
     )
     return Stack(source, ordered, z_um[order])
+
+
+def as_pictures(recording: Recording) -> Recording:
+    """Have every plane as grey or RGB, of its own number type; raises `InputError` where pixels are no numbers."""
+    read = recording.read
+    dtype = read(0).dtype
+    if dtype.kind not in "biuf":
+        raise InputError(f"Pixels are of type {dtype}.", fix="give pixels that are numbers.", code="stack-dtype")
+    return replace(recording, read=lambda k: as_picture(read(k)))
 
 
 def camera_depth(recording: Recording) -> Recording:

@@ -1,34 +1,52 @@
-"""The command ``stereotome process volume``."""
+"""The commands ``stereotome process volume`` and ``stereotome process apply``: steps of a pipeline, taken on data."""
 
 from __future__ import annotations
 
 import json as notation
+import shutil
 import sys
-import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+import zarr
 from cyclopts import Parameter
 
-from acquire.ome_zarr import FocalArray
 from acquire.progress import progress
 from devices.clock import SystemClock
 from devices.errors import InputError
-from processing.deblur_cli import read_volume
-from processing.neighbours import neighbours
-from processing.outputs import about_stack, peak_memory_mb, versions, write_durably
+from processing.outputs import peak_memory_mb, versions, write_durably
 from processing.pictures import png_bytes
 from processing.pipeline import Pipeline, Step
-from processing.resample import mean_step
 from processing.result_folder import check_results, json_bytes, plain
-from processing.stack import Stack, open_stack
-from processing.volume_files import middle_cuts, publish, volume_names, write_volume
+from processing.step_inputs import Choices, Given, open_layers, read_steps
+from processing.step_outputs import files_of, summed_up, write_layers
+from processing.volume_files import cuts_picture, publish
 
 if TYPE_CHECKING:
-    from processing.neighbours import Spacing
+    from collections.abc import Callable
+
+    from processing.slabs import Stage
+
+    Layers = dict[str, Any]
 
 Switch = Parameter(negative="")
+REPORT = "report.json"
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """That work goes block by block, and how."""
+
+    memory: str | None = None
+    scheduler: str | None = None
+    resume: bool = False
+
+    @property
+    def wanted(self) -> bool:
+        """True when anything of it was asked for."""
+        return self.resume or self.memory is not None or self.scheduler is not None
 
 
 def volume(
@@ -40,12 +58,16 @@ def volume(
     pixel_um: float | None = None,
     step_um: float | None = None,
     channel: int | None = None,
+    bands: str = "",
     time: int = 0,
+    memory: str | None = None,
+    scheduler: str | None = None,
+    resume: Annotated[bool, Switch] = False,
     overwrite: Annotated[bool, Switch] = False,
     json: Annotated[bool, Switch] = False,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative="")] = False,
 ) -> int:
-    """Apply operators to a volume, one after the other.
+    """Apply operators to a volume or a range image, one after the other.
 
     Parameters
     ----------
@@ -53,17 +75,27 @@ def volume(
         An operator with its settings, ``filter.median:rule=6``, or a TOML file of ``[[step]]`` tables. All operators:
         stereotome process operators.
     data
-        Run folder, OME-Zarr, TIFF, a folder of images, NPY, NPZ or NIfTI.
+        Run folder, OME-Zarr, TIFF, a folder of images, NPY, NPZ or NIfTI; or a range image: folder of process focus or
+        process elevation, or a TIFF of floats.
     output
-        Folder for volumes, pictures and report.
+        Folder for volumes, maps, tables, pictures and report.
     then
         A further step; may be given several times.
     pixel_um, step_um
         Size of a pixel and distance of planes; go before what the file says.
     channel
         Channel, or series of images, to take when there are several; counted from 0.
+    bands
+        Channels for steps that take several, such as 0,1; counted from 0.
     time
         Time point to take when there are several; counted from 0.
+    memory
+        Go block by block, in no more memory than this, such as 2GB; with a scheduler that of each worker.
+    scheduler
+        Go block by block on the workers of the Dask scheduler at this address, such as tcp://10.0.0.5:8786; they must
+        see data and output under the same names.
+    resume
+        Go on with a block by block job that was left; blocks that are done are not done again.
     overwrite
         Replace results that are in the folder.
     json
@@ -71,114 +103,185 @@ def volume(
     quiet
         Show no progress and no notes.
     """
-    pipeline = steps_of(operation, then)
-    made = volumes_made(pipeline)
-    files = [name for layer in made for name in (*volume_names(layer), f"{layer}.png")]
-    check_results(output, [*files, "report.json"], overwrite=overwrite)
-    stack = open_stack(data, step_um=step_um, channel=channel, time=time)
-    spacing_um, notes = spacing_of(stack, pixel_um)
-    begin = SystemClock().now()
-    with progress("processing", len(pipeline.steps), quiet=quiet) as show:
-        layers = pipeline({"volume": read_volume(stack), "spacing_um": spacing_um}, show)
-    report = {
-        "format": "stereotome-volume",
-        "version": 1,
-        **about_stack(stack),
-        "steps": pipeline.tables(),
-        "spacing_um": spacing_um,
-        "notes": [*stack.notes, *notes],
-        "results": {name: summed_up(layers[name]) for name in made},
-        "values": {name: layers[name] for name in values_made(pipeline)},
-        "seconds": round(SystemClock().now() - begin, 3),
-        "peak_memory_mb": round(peak_memory_mb(), 1),
-        "versions": versions(),
-        "files": [*files, "report.json"],
-    }
-    publish(output, lambda part: write_all(part, {name: layers[name] for name in made}, stack, spacing_um, report))
-    for note in [] if quiet else report["notes"]:
-        sys.stderr.write(f"note: {note}\n")
+    from_file = operation.endswith(".toml")
+    further = tuple(Step.parse(words) for words in then)
+    first = read_steps(Path(operation), ()) if from_file else read_steps(None, (operation,))
+    choices = Choices(pixel_um, step_um, channel, time, channels_of(bands))
+    task = Task(Pipeline((*first.steps, *further)), data, output, choices, overwrite=overwrite, quiet=quiet)
+    report = task.do(Blocks(memory, scheduler, resume))
     sys.stdout.write(notation.dumps(plain(report), ensure_ascii=False) + "\n" if json else summary(report, output))
     return 0
 
 
-def steps_of(operation: str, then: tuple[str, ...]) -> Pipeline:
-    """Return the steps of a command line, or of a file and a command line; raises `InputError` for unknown ones."""
-    further = tuple(Step.parse(words) for words in then)
-    if not operation.endswith(".toml"):
-        return _checked(Pipeline((Step.parse(operation), *further)))
-    try:
-        tables = tomllib.loads(Path(operation).read_text(encoding="utf-8")).get("step", [])
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(
-            f"{operation} cannot be read: {error}.", fix="check the file.", code="operator-params"
-        ) from None
-    return _checked(Pipeline((*Pipeline.from_tables(tables).steps, *further)))
+def apply(
+    source: Path,
+    *words: str,
+    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    steps: Path | None = None,
+    pixel_um: float | None = None,
+    step_um: float | None = None,
+    channel: int | None = None,
+    time: int = 0,
+    overwrite: Annotated[bool, Switch] = False,
+    quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative="")] = False,
+) -> int:
+    """Do as process volume does, with the data first and all steps after it.
+
+    Parameters
+    ----------
+    source
+        Data, as for process volume.
+    words
+        Steps in order, such as range.median:side_px=5 range.level; all of them: stereotome process operators.
+    output
+        Folder for what the steps make, pictures and report.
+    steps
+        Steps in a TOML file instead: a table [[step]] for each, operator = "range.median" and its parameters.
+    pixel_um, step_um
+        Size of a pixel and distance of planes; go before what the file says.
+    channel
+        Channel, or series of images, of a stack; counted from 0.
+    time
+        Time point of a stack; counted from 0.
+    overwrite
+        Replace results that are in the folder.
+    quiet
+        Show no progress and no notes.
+    """
+    choices = Choices(pixel_um, step_um, channel, time)
+    task = Task(read_steps(steps, words), source, output, choices, overwrite=overwrite, quiet=quiet)
+    sys.stdout.write(summary(task.do(Blocks()), output))
+    return 0
 
 
-def _checked(pipeline: Pipeline) -> Pipeline:
-    if not pipeline.steps:
-        raise InputError(
-            "there is no step.", fix='write [[step]] with operator = "family.name"', code="operator-params"
-        )
-    pipeline.check(["volume", "spacing_um"])
-    return pipeline
+def channels_of(words: str) -> tuple[int, ...]:
+    """Read ``0,1``; raises `InputError` ``bands`` for anything but numbers."""
+    parts = [part.strip() for part in words.split(",") if part.strip()]
+    if not all(part.isdigit() for part in parts):
+        raise InputError(f"{words!r} names no channels.", fix="numbers from 0: --bands 0,1", code="bands")
+    return tuple(int(part) for part in parts)
 
 
-def volumes_made(pipeline: Pipeline) -> list[str]:
-    """Return the layers of the volume's shape that the steps make, in order."""
-    made = [layer.name for step in pipeline.steps for layer in step.operator.gives if layer.shape == "volume"]
-    return list(dict.fromkeys(made))
+@dataclass(frozen=True)
+class Task:
+    """Steps to be taken on data, and where the results go."""
+
+    pipeline: Pipeline
+    source: Path
+    output: Path
+    choices: Choices
+    overwrite: bool
+    quiet: bool
+
+    def do(self, blocks: Blocks) -> dict[str, Any]:
+        """Do it; returns the report."""
+        check_results(self.output, files_of(self.pipeline), overwrite=self.overwrite)
+        given = open_layers(self.source, self.choices)
+        self.pipeline.check(given.names)
+        clock = SystemClock()
+        begin = clock.now()
+        about, fill = self._by_blocks(given, blocks) if blocks.wanted else self._in_memory(given)
+        report = {
+            "format": "stereotome-steps",
+            "version": 2,
+            "input": self._input(given),
+            "notes": list(given.notes),
+            "steps": self.pipeline.tables(),
+            "spacing_um": given.spacing_um,
+            "pixel_um": given.about.get("pixel_um"),
+            **about,
+            "seconds": round(clock.now() - begin, 3),
+            "peak_memory_mb": round(peak_memory_mb(), 1),
+            "versions": versions(),
+        }
+
+        def write(part: Path) -> None:
+            report["files"] = [*fill(part), REPORT]
+            write_durably(part / REPORT, json_bytes(report))
+
+        publish(self.output, write)
+        shutil.rmtree(self.output / WORK, ignore_errors=True)
+        for note in () if self.quiet else given.notes:
+            sys.stderr.write(f"note: {note}\n")
+        return report
+
+    def _input(self, given: Given) -> dict[str, Any]:
+        shapes = {name: list(layer.shape) for name, layer in given.maps.items()}
+        for name, stacks in given.stacks.items():
+            shapes[name] = [*([len(stacks)] if name == "bands" else []), len(stacks[0]), *stacks[0].shape]
+        return {"source": str(given.source), "shapes": shapes}
+
+    def _in_memory(self, given: Given) -> tuple[dict[str, Any], Callable[[Path], list[str]]]:
+        with progress("steps", len(self.pipeline.steps), quiet=self.quiet) as show:
+            layers = given.read()
+            made = {k: v for k, v in self.pipeline(layers, show).items() if v is not layers.get(k)}
+        numbers, arrays = parted(made)
+        spacing_um = made_spacing(made, given)
+        z_um = np.ravel({**given.about, **made}.get("z_um", 0.0))
+        about = {"results": {name: summed_up(value) for name, value in arrays.items()}, "values": numbers}
+        return about, lambda part: write_layers(part, arrays, spacing_um, float(z_um[0]))
+
+    def _by_blocks(self, given: Given, blocks: Blocks) -> tuple[dict[str, Any], Callable[[Path], list[str]]]:
+        from processing import blockwise as b  # noqa: PLC0415  dask takes a second
+        from processing.block_runners import Threads, runner  # noqa: PLC0415
+
+        halo = b.check_blockwise(self.pipeline)
+        volumes, memory = b.sizes(given, self.choices, blocks.memory)
+        workers = Threads().count if blocks.scheduler is None else b.WORKERS
+        plan = b.plan_slabs(given, halo, memory, workers)
+        work = self.output / WORK
+        job = b.fingerprint(given, volumes, self.pipeline, plan)
+        b.prepare(work, job, resume=blocks.resume, overwrite=self.overwrite)
+        with runner(blocks.scheduler, plan.workers) as running:
+
+            def do(title: str, stage: Stage) -> None:
+                with progress(title, len(stage.slabs), quiet=self.quiet) as show:
+                    running.run(stage, show)
+
+            going = b.Blockwise(work.absolute(), volumes, plan, do)
+            images = going.run(self.pipeline)
+        about: dict[str, Any] = {"blocks": {"planes": plan.side, "at_once": plan.workers, "memory": blocks.memory}}
+        about["values"] = going.values
+        about["results"] = {name: {"shape": going.shape, "dtype": going.types[name]} for name in images}
+        return about, lambda part: move_images(part, images, given)
 
 
-def values_made(pipeline: Pipeline) -> list[str]:
-    """Return the layers that are single numbers, such as a threshold that was found, in order."""
-    made = [layer.name for step in pipeline.steps for layer in step.operator.gives if not layer.shape and layer.dtype]
-    return list(dict.fromkeys(made))
+WORK = ".blocks"
 
 
-def spacing_of(stack: Stack, pixel_um: float | None) -> tuple[Spacing, list[str]]:
-    """Return (dz, dy, dx) in µm, in voxels where it is not known, and what the user is told about it."""
-    pixel = pixel_um if pixel_um is not None else stack.pixel_um
-    if stack.z_um is None or pixel is None or len(stack) < 2:
-        return (1.0, 1.0, 1.0), ["the size of the voxels is not known: lengths are in voxels, which count as cubes."]
-    spacing = (mean_step(stack.z_um), pixel, pixel)
-    note = neighbours(26, spacing).note
-    return spacing, [note] if note else []
+def parted(made: Layers) -> tuple[Layers, Layers]:
+    """Return what is told in the report, and what is written as files."""
+    files = {name: value for name, value in made.items() if np.ndim(value) >= 2 or hasattr(value, "rows")}
+    return {name: value for name, value in made.items() if name not in files}, files
 
 
-def summed_up(result: np.ndarray[Any, Any]) -> dict[str, Any]:
-    """Describe a result for the report."""
-    return {
-        "shape": list(result.shape),
-        "dtype": str(result.dtype),
-        "min": float(result.min()),
-        "mean": float(result.mean(dtype=np.float64)),
-        "max": float(result.max()),
-    }
+def made_spacing(made: Layers, given: Given) -> tuple[float, float, float]:
+    """Return the spacing of volumes after the steps: those that change it say where planes and pixels lie then."""
+    dz, dy, dx = given.spacing_um
+    pixel = made.get("pixel_um")
+    z_um = np.asarray(made.get("z_um", ()))
+    step = float(np.abs(np.diff(z_um)).mean()) if z_um.size > 1 else dz
+    return (step, dy, dx) if pixel is None else (step, float(pixel), float(pixel))
 
 
-def write_all(
-    part: Path,
-    results: dict[str, np.ndarray[Any, Any]],
-    stack: Stack,
-    spacing_um: Spacing,
-    report: dict[str, Any],
-) -> None:
-    """Write every result with a picture of its middle cuts, and the report."""
-    dz, _, dx = spacing_um
-    start_um = 0.0 if stack.z_um is None else float(stack.z_um[0])
-    for name, result in results.items():
-        layout = FocalArray(len(result), result.shape[1:], str(result.dtype), start_um, dz, dx)
-        write_volume(part, name, name, layout, iter(result))
-        write_durably(part / f"{name}.png", png_bytes(middle_cuts(result, dz / dx)))
-    write_durably(part / "report.json", json_bytes(report))
+def move_images(part: Path, images: dict[str, Path], given: Given) -> list[str]:
+    """Move images that were made block by block to where results go, each with a picture of its middle cuts."""
+    dz, _, dx = given.spacing_um
+    for name, image in images.items():
+        image.replace(part / image.name)
+        array: Any = zarr.open_array(part / image.name / "0", mode="r")
+        _, _, planes, height, _ = array.shape
+        middle = cuts_picture(np.asarray(array[0, 0, planes // 2]), np.asarray(array[0, 0, :, height // 2]), dz / dx)
+        write_durably(part / f"{name}.png", png_bytes(middle))
+    return sorted(path.name for path in part.iterdir())
 
 
 def summary(report: dict[str, Any], folder: Path) -> str:
     """Return the lines a person reads at the end: each result, then every file."""
-    told = [
-        f"{name}: {'×'.join(map(str, r['shape']))} {r['dtype']}, {r['min']:.4g} … {r['max']:.4g}, mean {r['mean']:.4g}"
-        for name, r in report["results"].items()
-    ]
-    told += [f"{name}: {value:.6g}" for name, value in report["values"].items()]
+    told = []
+    for name, r in report["results"].items():
+        size = f"{'×'.join(map(str, r['shape']))} {r['dtype']}" if "shape" in r else f"{r['rows']} rows"
+        extent = f", {r['min']:.4g} … {r['max']:.4g}, mean {r['mean']:.4g}" if "mean" in r else ""
+        told.append(f"{name}: {size}{extent}")
+    told += [f"{name}: {value:.6g}" for name, value in report["values"].items() if np.ndim(value) == 0]
     return "\n".join([*told, *(str(folder / name) for name in report["files"])]) + "\n"

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+import os
 import shutil
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +30,8 @@ if TYPE_CHECKING:
 
 REPORT = "report.json"
 GAP_PX = 4
+SMALLEST_LEVEL_PX = 256
+WRITTEN = ("uint8", "uint16", "uint32", "float32")  # number types of volumes in files
 TALLEST = 8.0  # times a plane's height is shown, at most
 
 
@@ -60,6 +65,42 @@ def _move(new: Path, old: Path) -> None:
     new.replace(old)
 
 
+def levels_of(shape: tuple[int, ...]) -> int:
+    """Return how many levels a pyramid of planes has: the last is no larger than 256 pixels."""
+    return 1 + max(0, math.ceil(math.log2(max(shape[:2]) / SMALLEST_LEVEL_PX)))
+
+
+def create_volume(image: Path, title: str, layout: FocalArray) -> None:
+    """Make an OME-Zarr image whose planes are not yet written; its ``zarr.json`` comes last."""
+    for level in range(layout.levels):
+        (image / str(level)).mkdir(parents=True, exist_ok=True)
+        replace_json(image / str(level) / "zarr.json", layout.level(level).array_json(layout.planned))
+    replace_json(image / "zarr.json", layout.group_json(title))
+
+
+def write_plane(image: Path, layout: FocalArray, k: int, plane: Array) -> None:
+    """Write plane ``k`` of an image, and its smaller versions; on the disk when this returns."""
+    for level in range(layout.levels):
+        array: Any = zarr.open_array(image / str(level), mode="r+", config={"write_empty_chunks": True})
+        shard = image / str(level) / "c" / "0" / "0" / str(k) / "0" / "0"
+        shard.unlink(missing_ok=True)  # half of one would be read first, and be refused
+        array[0, :, k] = plane[np.newaxis] if plane.ndim == 2 else np.moveaxis(plane, -1, 0)
+        with shard.open("rb") as file:
+            os.fsync(file.fileno())
+        if level + 1 < layout.levels:
+            plane = halved(plane)
+
+
+def halved(plane: Array) -> Array:
+    """Return a plane at half size: rounded means of four pixels; of labels one of the four, since means are none."""
+    height, width = plane.shape[:2]
+    if plane.dtype == np.uint32:
+        return plane[::2, ::2]
+    even = np.pad(plane, [(0, height % 2), (0, width % 2), *[(0, 0)] * (plane.ndim - 2)], mode="edge")
+    size = (even.shape[1] // 2, even.shape[0] // 2)
+    return np.asarray(cv2.resize(even, size, interpolation=cv2.INTER_AREA))
+
+
 def write_volume(folder: Path, name: str, title: str, layout: FocalArray, planes: Iterable[Array]) -> None:
     """Write the planes of a volume as both kinds, each plane asked for once.
 
@@ -72,17 +113,15 @@ def write_volume(folder: Path, name: str, title: str, layout: FocalArray, planes
     layout : FocalArray
         Number, shape, type and spacing of the planes.
     planes : iterable of arrays
-        uint8, uint16 or float32.
+        uint8, uint16, uint32 or float32.
     """
     zarr_name, tiff_name = volume_names(name)
-    (folder / zarr_name / "0").mkdir(parents=True)
-    replace_json(folder / zarr_name / "zarr.json", layout.group_json(title))
-    replace_json(folder / zarr_name / "0" / "zarr.json", layout.array_json(layout.planned))
-    array: Any = zarr.open_array(folder / zarr_name / "0", mode="r+")
+    layout = replace(layout, levels=levels_of(layout.shape))
+    create_volume(folder / zarr_name, title, layout)
 
     def copied() -> Iterator[Array]:
         for k, plane in enumerate(planes):
-            array[0, :, k] = plane[np.newaxis] if plane.ndim == 2 else np.moveaxis(plane, -1, 0)
+            write_plane(folder / zarr_name, layout, k, plane)
             yield plane
 
     with tifffile.TiffWriter(folder / tiff_name, bigtiff=True, ome=True) as tiff:
@@ -113,10 +152,18 @@ def middle_cuts(volume: Array, deep: float) -> Array:
 
 def cuts_picture(plane: Array, cut: Array, deep: float = 1.0) -> Array:
     """Show a plane over an x-z cut."""
-    top, shown = preview(plane), preview(cut)
+    top, shown = (label_colours(p) if p.dtype == np.uint32 else preview(p) for p in (plane, cut))
     height = max(1, round(cut.shape[0] * min(deep, TALLEST)))
     below = cv2.resize(shown, (cut.shape[1], height), interpolation=cv2.INTER_NEAREST)
     return np.concatenate([top, np.full((GAP_PX, *top.shape[1:]), 255, np.uint8), below])
+
+
+def label_colours(labels: Array) -> Array:
+    """Paint every label in a colour of its own, background black; neighbours in number far apart in hue."""
+    hue = (labels * np.uint32(67)) % np.uint32(180)
+    light = 160 + 95 * (labels % np.uint32(2))
+    hsv = np.stack([hue, np.full_like(hue, 190), np.where(labels > 0, light, 0)], axis=-1).astype(np.uint8)
+    return np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB))
 
 
 def side_by_side(before: Array, after: Array, deep: float, words: str) -> Array:

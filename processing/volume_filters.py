@@ -154,17 +154,24 @@ def variance(volume: Array, spacing_um: Spacing | None = None, *, rule: int = 26
     grey, near = checked(volume), around(rule, radius, spacing_um)
     exact = np.int32 if grey.dtype == np.uint8 and len(near.offsets) < 181 else np.float64  # 181²·255² is 2³¹
     out = np.empty(grey.shape, np.float32)
-    if grey.dtype.kind == "f":
-        grey = grey - grey.mean(dtype=np.float64).astype(np.float32)
     kernels.moment_rows(grey, near.rows, np.zeros(1, exact), out)
     return np.maximum(out, 0, out=out)
 
 
-@operator("filter.entropy", gives=[Layer("volume", "volume", "float32")])
-def entropy(volume: Array, spacing_um: Spacing | None = None, *, rule: int = 26, radius: float = 0.0) -> Array:
+@operator("filter.entropy", gives=[Layer("volume", "volume", "float32")],
+          halo=lambda params: None if params["low"] is None or params["high"] is None else reach(params))  # fmt: skip
+def entropy(
+    volume: Array,
+    spacing_um: Spacing | None = None,
+    *,
+    rule: int = 26,
+    radius: float = 0.0,
+    low: float | None = None,
+    high: float | None = None,
+) -> Array:
     """Entropy of the neighbours in bits: how many grey levels share them, and how evenly.
 
-    The volume's range is divided into 64 levels first, so that noise of less than a level counts for nothing.
+    The range of values is divided into 64 levels first, so that noise of less than a level counts for nothing.
 
     Parameters
     ----------
@@ -174,6 +181,8 @@ def entropy(volume: Array, spacing_um: Spacing | None = None, *, rule: int = 26,
         Distance of voxels along (z, y, x).
     rule, radius : int, float
         Which neighbours, as of `rank`.
+    low, high : float, optional
+        Ends of the range; the volume's smallest and largest value where left out.
 
     Returns
     -------
@@ -181,9 +190,9 @@ def entropy(volume: Array, spacing_um: Spacing | None = None, *, rule: int = 26,
         −Σ p log2 p, at most the logarithm of the number of neighbours.
     """
     grey, near = checked(volume), around(rule, radius, spacing_um)
-    low, high = float(grey.min()), float(grey.max())
-    scale = (ENTROPY_LEVELS - 1e-3) / (high - low) if high > low else 0.0
-    levels = ((grey - np.float32(low)) * np.float32(scale)).astype(np.uint8)
+    bottom, top = (float(grey.min()) if low is None else low), (float(grey.max()) if high is None else high)
+    scale = (ENTROPY_LEVELS - 1e-3) / (top - bottom) if top > bottom else 0.0
+    levels = (np.clip(grey - np.float32(bottom), 0, top - bottom) * np.float32(scale)).astype(np.uint8)
     counts = np.arange(1, len(near.offsets) + 1, dtype=np.float64)
     out = np.empty(grey.shape, np.float32)
     kernels.entropy_rows(levels, near.rows, np.concatenate([[0.0], counts * np.log2(counts)]), out)

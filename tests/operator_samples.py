@@ -105,6 +105,7 @@ SAMPLES: dict[str, Sample] = {
     **{f"filter.{name}": lambda: (noisy_volume(), {}) for name in FILTERS},
     **{name: lambda: (holed_mask(), {}) for name in MASKS},
     "mask.threshold": lambda: (noisy_volume(), {"method": "li"}),
+    "filter.entropy": lambda: (noisy_volume(), {"low": 0.0, "high": 255.0}),
     **{f"morphology.{name}": lambda: (noisy_volume(), {"rule": 18}) for name in MORPHOLOGY},
     "mask.central": lambda: (noisy_volume(), {"neck_px": 1.0}),
     "grow.region": lambda: (holed_mask(), {"seed": (2, 3, 2), "tolerance": 10.0}),

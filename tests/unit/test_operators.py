@@ -68,12 +68,16 @@ def test_equals_a_slow_reference(name: str):
         np.testing.assert_allclose(made[key], expected, rtol=1e-4, atol=1e-4)
 
 
-@pytest.mark.parametrize("name", [o.name for o in operators() if o.halo])
+def halo_of(name: str) -> tuple[int, ...] | None:
+    return Step(name, SAMPLES[name]()[1]).halo
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if halo_of(name) is not None])
 def test_tiles_agree_with_the_whole(name: str):
     layers, params = SAMPLES[name]()
     operator = find_operator(name)
-    assert operator.halo is not None
-    halo = operator.halo(operator.settings(params))
+    halo = halo_of(name)
+    assert halo is not None
     shape = layers[operator.gives[0].shape].shape[-len(halo) :]
     whole = operator(layers, **params)
     parts = {layer.name: np.empty_like(whole[layer.name]) for layer in operator.gives}

@@ -1,0 +1,298 @@
+"""A pipeline on a volume larger than memory: cut into stages, each done slab by slab, resumed where it was left."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from dask.utils import parse_bytes
+
+from acquire.ome_zarr import FocalArray, replace_json
+from devices.errors import InputError
+from processing.block_counts import Counts, Limits, Renumber, SlabLabels
+from processing.outputs import peak_memory_mb
+from processing.pipeline import Pipeline, Step
+from processing.result_folder import plain
+from processing.slabs import LocalSteps, Stage, Volumes, kernel_type
+from processing.volume_files import create_volume, levels_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from processing.step_inputs import Choices, Given
+
+    S = TypeVar("S", bound=Stage)
+    Doing = Callable[[str, Stage], None]
+
+WORKERS = 2  # of a cluster, for which slabs are cut at least; more do no harm
+JOB = "job.json"
+BYTES_PER_VOXEL = 40  # that steps hold beside their input: sums and gradients of 32 and 64 bit
+COMPILING_MB = 200  # for compiled loops, codecs and pictures that are not yet in memory
+MOST_PLANES = 64
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How many planes a slab has, and how many are done at once.
+
+    Attributes
+    ----------
+    side, workers : int
+        Planes of a slab, slabs at once.
+    """
+
+    side: int
+    workers: int
+
+
+def sizes(given: Given, choices: Choices, memory: str | None) -> tuple[Volumes, float | None]:
+    """Return the input as blocks read it, and the memory in bytes.
+
+    Raises
+    ------
+    InputError
+        ``blockwise``: the input is no grey stack; ``memory``: no such amount.
+    """
+    stacks = [stack for group in given.stacks.values() for stack in group]
+    if not stacks or any(stack.colour for stack in stacks):
+        raise InputError(
+            f"{given.source} is no grey stack; only those go block by block.",
+            fix="leave out --memory and --scheduler",
+            code="blockwise",
+        )
+    try:
+        most = None if memory is None else float(parse_bytes(memory))
+    except ValueError:
+        raise InputError(f"{memory!r} is no amount of memory.", fix="--memory 2GB", code="memory") from None
+    return Volumes(given.source.absolute(), choices), most
+
+
+def plan_slabs(given: Given, halo: int, memory: float | None, workers: int) -> Plan:
+    """Choose slabs that fit into memory.
+
+    Parameters
+    ----------
+    given : Given
+        The input.
+    halo : int
+        Planes around a slab, at most.
+    memory : float, optional
+        Bytes that this process may take in all; None for as many as wanted.
+    workers : int
+        Slabs at once, at most.
+
+    Raises
+    ------
+    InputError
+        ``memory``: not even single planes fit.
+    """
+    stacks = [stack for group in given.stacks.values() for stack in group]
+    height, width = stacks[0].shape
+    plane = height * width * (sum(stack.dtype.itemsize for stack in stacks) + BYTES_PER_VOXEL)
+    wanted = max(1, min(MOST_PLANES, -(-len(stacks[0]) // (2 * workers))))
+    if memory is None:
+        return Plan(wanted, workers)
+    usable = memory - (peak_memory_mb() + COMPILING_MB) * 1e6
+    for count in range(workers, 0, -1):
+        side = int(usable / count / plane) - 2 * halo
+        if side >= 1:
+            return Plan(min(side, wanted), count)
+    least = (peak_memory_mb() + COMPILING_MB) * 1e6 + (1 + 2 * halo) * plane
+    raise InputError(
+        f"{memory / 1e9:.2f} GB do not hold a plane and its {2 * halo} neighbours; {least / 1e9:.2f} GB would.",
+        fix=f"--memory {least / 1e9:.2f}GB",
+        code="memory",
+    )
+
+
+GLOBAL = ("mask.threshold", "label.components")
+
+
+def check_blockwise(pipeline: Pipeline) -> int:
+    """Return how many planes around a slab its steps look at, at most.
+
+    Raises
+    ------
+    InputError
+        ``blockwise``: a step looks at the whole volume, and there is no way round that.
+    """
+    halo, most = 0, 0
+    for step in pipeline.steps:
+        if step.halo is None and step.name not in GLOBAL:
+            raise InputError(
+                f"{step.name} looks at the whole volume and cannot go block by block.",
+                why=f"Filters, morphology and arithmetic can, and {', '.join(GLOBAL)}.",
+                fix=(
+                    "leave out --memory and --scheduler",
+                    "make the volume smaller first: stereotome process resample",
+                ),
+                code="blockwise",
+            )
+        halo = 0 if step.halo is None else halo + step.halo[0]
+        most = max(most, halo)
+    return most
+
+
+def prepare(work: Path, job: dict[str, Any], *, resume: bool, overwrite: bool) -> None:
+    """Make the folder of a job ready: a new one, or that of the same job which was left.
+
+    Raises
+    ------
+    InputError
+        ``blocks-left``: it holds slabs of a job that was left, and nobody said what to do; ``blocks-other``: of another
+        job than the one to be resumed.
+    """
+    wanted = plain(job)
+    if work.exists() and resume:
+        try:
+            left = json.loads((work / JOB).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            left = None  # it was killed before the job was written
+        if left is not None and left != wanted:
+            changed = ", ".join(key for key in wanted if left.get(key) != wanted[key])
+            raise InputError(
+                f"{work.parent} was left by another job; different: {changed}.",
+                fix=("give the same input, steps and sizes", "begin anew: --overwrite"),
+                code="blocks-other",
+            )
+        if left is not None:
+            return
+    elif work.exists() and not overwrite:
+        raise InputError(
+            f"{work.parent} holds slabs of a job that was left.",
+            fix=("go on with it: --resume", "begin anew: --overwrite"),
+            code="blocks-left",
+        )
+    shutil.rmtree(work, ignore_errors=True)
+    work.mkdir(parents=True)
+    replace_json(work / JOB, wanted)
+
+
+def fingerprint(given: Given, volumes: Volumes, pipeline: Pipeline, plan: Plan) -> dict[str, Any]:
+    """Return what must be the same for slabs to be used again."""
+    changed = given.source.stat().st_mtime_ns if given.source.exists() else 0
+    choices = {name: getattr(volumes.choices, name) for name in volumes.choices.__dataclass_fields__}
+    return {
+        "source": str(given.source.resolve()),
+        "changed": changed,
+        "choices": choices,
+        "steps": pipeline.tables(),
+        "planes": plan.side,
+    }
+
+
+@dataclass
+class Blockwise:
+    """A pipeline being taken over a volume, stage by stage.
+
+    Attributes
+    ----------
+    work : Path
+        Folder in which each stage has one.
+    volumes : Volumes
+        Where the layers lie so far.
+    plan : Plan
+        Sizes of the slabs.
+    do : callable
+        Has all slabs of a stage done; takes its title and the stage.
+    types : dict
+        Number type of each layer so far.
+    values : dict
+        Numbers that the steps gave.
+    """
+
+    work: Path
+    volumes: Volumes
+    plan: Plan
+    do: Doing
+    types: dict[str, str] = field(default_factory=dict)
+    values: dict[str, Any] = field(default_factory=dict)
+    stages: int = 0
+
+    def run(self, pipeline: Pipeline) -> dict[str, Path]:
+        """Take all steps; returns the image of each layer that was made."""
+        self.types |= {name: kernel_type(s[0].dtype) for name, s in self.volumes.given.stacks.items()}
+        local: list[Step] = []
+        for step in pipeline.steps:
+            if step.halo is not None:
+                local.append(step)
+                continue
+            self._take(local)
+            local = self._count_all(step)
+        self._take(local)
+        return dict(self.volumes.made)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Of the volume."""
+        stack = next(iter(self.volumes.given.stacks.values()))[0]
+        return len(stack), stack.shape[0], stack.shape[1]
+
+    def _count_all(self, step: Step) -> list[Step]:
+        """Find what a step must know of the whole volume; returns what is left to do slab by slab."""
+        settings = step.operator.settings(step.params)
+        if step.name == "label.components":
+            self._label(settings)
+            return []
+        limits = None
+        if self.types["volume"] == "float32":
+            limits = self._done("limits", Limits(*self._place("limits"))).limits()
+        counts = self._done("counts", Counts(*self._place("counts"), (), limits))
+        return [replace(step, params={**settings, "above": counts.threshold(settings["method"])})]
+
+    def _label(self, settings: dict[str, Any]) -> None:
+        outs = (("volume", self._layout("uint32")),)
+        parts = SlabLabels(*self._place("parts"), outs, settings["rule"], settings["by_value"])
+        self._done("numbering parts", parts)
+        numbers = parts.folder / "numbers.npy"
+        count = parts.merge(settings["least"], numbers)
+        begins = np.cumsum([0, *(said["count"] for said in parts.found())])
+        self._keep(parts, {"volume": "uint32"})
+        last = Renumber(*self._place("labels"), outs, numbers, tuple(begins.tolist()))
+        self._keep(self._done("joining parts", last), {"volume": "uint32"})
+        self.values["count"] = count
+
+    def _take(self, steps: list[Step]) -> None:
+        """Take steps that look no further than their halos."""
+        if not steps:
+            return
+        made: dict[str, str] = {}
+        for step in steps:
+            types = {**self.types, **made}
+            made |= {g.name: types.get(g.dtype, g.dtype) for g in step.operator.gives if g.shape}
+        takes = [name for step in steps for name in step.operator.takes if name in self.types]
+        outs = tuple((name, self._layout(dtype)) for name, dtype in made.items())
+        stage = LocalSteps(*self._place("steps"), outs, Pipeline(tuple(steps)), tuple(dict.fromkeys(takes)))
+        self._keep(self._done(" ".join(step.name for step in steps), stage), made)
+        self.values |= stage.found()[0]
+
+    def _place(self, name: str) -> tuple[Path, Volumes, tuple[int, int, int], int]:
+        """Return folder, input and sizes of the next stage."""
+        self.stages += 1
+        return self.work / f"{self.stages}-{name}", self.volumes, self.shape, self.plan.side
+
+    def _layout(self, dtype: str) -> FocalArray:
+        given = self.volumes.given
+        dz, _, dx = given.spacing_um
+        start_um = float(given.about["z_um"][0]) if "z_um" in given.about else 0.0
+        count, *plane = self.shape
+        return FocalArray(count, tuple(plane), dtype, start_um, dz, dx, levels=levels_of(tuple(plane)))
+
+    def _done(self, title: str, stage: S) -> S:
+        """Have a stage done; what is left of an image that was being made is kept with its marks."""
+        stage.folder.mkdir(parents=True, exist_ok=True)
+        for name, layout in stage.outs:
+            if not (stage.image(name) / "zarr.json").exists():
+                create_volume(stage.image(name), name, layout)
+        self.do(title, stage)
+        return stage
+
+    def _keep(self, stage: Stage, types: dict[str, str]) -> None:
+        """Let the layers that a stage made take the places of those before."""
+        made = {**dict(self.volumes.made), **{name: stage.image(name) for name, _ in stage.outs}}
+        self.volumes = replace(self.volumes, made=tuple(made.items()))
+        self.types |= types
