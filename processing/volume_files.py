@@ -81,12 +81,13 @@ def create_volume(image: Path, title: str, layout: FocalArray) -> None:
 def write_plane(image: Path, layout: FocalArray, k: int, plane: Array) -> None:
     """Write plane ``k`` of an image, and its smaller versions; on the disk when this returns."""
     for level in range(layout.levels):
-        array: Any = zarr.open_array(image / str(level), mode="r+", config={"write_empty_chunks": True})
+        array: Any = zarr.open_array(image / str(level), mode="r+")
         shard = image / str(level) / "c" / "0" / "0" / str(k) / "0" / "0"
         shard.unlink(missing_ok=True)  # half of one would be read first, and be refused
         array[0, :, k] = plane[np.newaxis] if plane.ndim == 2 else np.moveaxis(plane, -1, 0)
-        with shard.open("rb") as file:
-            os.fsync(file.fileno())
+        if shard.exists():  # a plane that is all 0 has none
+            with shard.open("rb") as file:
+                os.fsync(file.fileno())
         if level + 1 < layout.levels:
             plane = halved(plane)
 
