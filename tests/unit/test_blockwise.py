@@ -82,10 +82,6 @@ def test_bands_go_slab_by_slab(tmp_path: Path, small_slabs: None) -> None:
     np.testing.assert_array_equal(image(tmp_path / "slabs"), image(tmp_path / "whole"))
 
 
-class Left(Exception):
-    """Somebody pulled the plug."""
-
-
 def test_a_job_that_was_left_goes_on_where_it_was(
     data: Path, tmp_path: Path, small_slabs: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -100,7 +96,7 @@ def test_a_job_that_was_left_goes_on_where_it_was(
         return honest(self, tile)
 
     monkeypatch.setattr(slabs.LocalSteps, "compute", compute)
-    monkeypatch.setattr(block_runners.Threads, "count", 1, raising=False)
+    monkeypatch.setattr(blockwise, "plan_slabs", lambda *_: blockwise.Plan(side=4, workers=1))
     assert process(data, out, *words) == 130
     assert {path.name for path in out.iterdir()} == {".blocks"}
     monkeypatch.setattr(slabs.LocalSteps, "compute", honest)
