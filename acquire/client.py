@@ -214,6 +214,14 @@ class Instrument:
         """Bring the block near the knife."""
         return self._call(requests.ApproachSection(depth_um=depth_um), replies.Depth)
 
+    def home_feed(self) -> replies.Depth:
+        """Let the feed search its reference: it may travel its whole length."""
+        return self._call(requests.HomeFeed(), replies.Depth)
+
+    def retract_knife(self) -> replies.Depth:
+        """Bring the knife out without a further feed."""
+        return self._call(requests.RetractKnife(), replies.Depth)
+
     def feed(self, thickness_nm: float, *, expect_section: int) -> replies.Depth:
         """Feed forward by one section; refused unless the knife has counted ``expect_section`` strokes."""
         return self._call(requests.FeedSection(thickness_nm=thickness_nm, expect_section=expect_section), replies.Depth)

@@ -57,6 +57,16 @@ class Hands:
         by_hand.approach_to(depth_um * NM_PER_UM)
         return self._depth()
 
+    def home(self) -> Depth:
+        """Let the feed search its reference."""
+        self._feed()[1].home()
+        return self._depth()
+
+    def retract(self) -> Depth:
+        """Bring the knife out."""
+        self._feed()[1].abort()
+        return self._depth()
+
     def feed(self, thickness_nm: float) -> Depth:
         """Feed forward by one section; sent once, whatever happens on the line."""
         feed, _ = self._feed()

@@ -206,8 +206,19 @@ class Host:
                 return self._hands.jog(request.by_um)
             case requests.ZeroStage():
                 return self._hands.zero()
+            case _ if request.lane == "camera":
+                return self._with_camera(request)
+            case _:
+                return self._with_feed(request)
+
+    def _with_feed(self, request: requests.AnyRequest) -> replies.AnyReply:
+        match request:
             case requests.ApproachSection():
                 return self._hands.approach(request.depth_um)
+            case requests.HomeFeed():
+                return self._hands.home()
+            case requests.RetractKnife():
+                return self._hands.retract()
             case requests.FeedSection():
                 return self._hands.feed(request.thickness_nm)
             case requests.CutSection():
@@ -216,7 +227,7 @@ class Host:
                 self._hands.arm()
                 return replies.Done()
             case _:
-                return self._with_camera(request)
+                raise AssertionError(request)
 
     def _with_camera(self, request: requests.AnyRequest) -> replies.AnyReply:
         match request:

@@ -122,6 +122,18 @@ class ApproachSection(Request, frozen=True, kw_only=True, tag="approach-section"
     depth_um: float
 
 
+class HomeFeed(Request, frozen=True, kw_only=True, tag="home-feed"):
+    """Let the feed search its reference: it may travel its whole length; answered by `Depth`."""
+
+    lane: ClassVar[Lane] = "motion"
+
+
+class RetractKnife(Request, frozen=True, kw_only=True, tag="retract-knife"):
+    """Bring the knife out without a further feed; answered by `Depth`."""
+
+    lane: ClassVar[Lane] = "motion"
+
+
 class FeedSection(Request, frozen=True, kw_only=True, tag="feed-section"):
     """Feed forward by the thickness of one section; answered by `Depth`. Says which section it means."""
 
@@ -242,6 +254,8 @@ AnyRequest = (
     | JogStage
     | ZeroStage
     | ApproachSection
+    | HomeFeed
+    | RetractKnife
     | FeedSection
     | ArmKnife
     | CutSection

@@ -277,10 +277,12 @@ def colour_table(colour: str) -> NDArray[np.float32]:
     DisplayError
         ``colours-unknown``: no such table or colour.
     """
+    ramp = np.linspace(0, 1, TABLE_ENTRIES)
+    if colour == "gray":
+        return np.repeat(ramp[:, None], 3, axis=1).astype(np.float32)
     from matplotlib import colormaps  # noqa: PLC0415  half a second that most programs do not need
     from matplotlib.colors import to_rgb  # noqa: PLC0415
 
-    ramp = np.linspace(0, 1, TABLE_ENTRIES)
     if colour in colormaps:
         return np.asarray(colormaps[colour](ramp)[:, :3], np.float32)
     try:

@@ -85,7 +85,7 @@ def event_words(event: dict[str, Any]) -> tuple[Level, str] | None:
         case "hold":
             return "warning", f"HOLD: {event['question']}"
         case "verdict" if event.get("finding") not in {"good", None}:
-            return "warning", f"section {event.get('section')}: {event.get('finding')}: {event.get('words')}"
+            return "warning", f"section {event['section'] + 1}: {event['finding']}: {event['words']}"
         case "pause":
             return "info", f"pause asked for, at the next {event['scope']}"
         case _:

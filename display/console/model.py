@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 PLAN_EVERY_S = 5.0
 LIVE_HZ = 30.0
+ARMED_FOR_S = 10.0
 TOP_OF_UNKNOWN = 4095
 
 
@@ -66,6 +67,10 @@ class Console:
         self.shows_keys = False
         self.target_um = 0.0
         self.exposure_ms: float | None = None
+        self.depth_um = 0.0
+        self.feed_notice = ""
+        self.armed_s = float("-inf")
+        self.measured = ""
         self.pause_scope = "plane"
         self._clock = clock or SystemClock()
         self._fits_first = True
@@ -130,6 +135,8 @@ class Console:
         """Return why no run can be started now; empty when one can."""
         if words := self.why_no_motion():
             return words
+        if self.form.sections.wanted and not self.form.marks.complete:
+            return "set both marks first: the stage is parked while sections are cut, a stack around it would be empty"
         if self.planned is None:
             return "the plan is being made"
         if isinstance(self.planned, StereotomeError):
@@ -300,6 +307,57 @@ class Console:
             "operator": self.form.operator or self.bench.actor,
             "notes": self.form.notes,
         }
+
+    # Feed and knife, by hand
+
+    @property
+    def feed(self) -> replies.FeedView | None:
+        """Feed and knife as read last; None without them."""
+        return None if self.state is None else self.state.feed
+
+    def approach(self, depth_um: float) -> None:
+        """Bring the block near the knife."""
+        self._by_hand(requests.ApproachSection(depth_um=depth_um))
+
+    def home_feed(self) -> None:
+        """Let the feed search its reference."""
+        self._by_hand(requests.HomeFeed())
+
+    def retract_knife(self) -> None:
+        """Bring the knife out."""
+        self._by_hand(requests.RetractKnife())
+
+    def feed_once(self) -> None:
+        """Feed by one section of the form's thickness."""
+        if self.feed is not None:
+            thickness_nm = self.form.sections.thickness_nm
+            self._by_hand(requests.FeedSection(thickness_nm=thickness_nm, expect_section=self.feed.cuts))
+
+    def arm_knife(self) -> None:
+        """Allow one cut within the next seconds."""
+        self.armed_s = self._clock.now()
+        self._by_hand(requests.ArmKnife())
+
+    def cut_once(self) -> None:
+        """Take one section with the armed knife."""
+        if self.feed is not None:
+            self.armed_s = float("-inf")
+            self._by_hand(requests.CutSection(expect_section=self.feed.cuts))
+
+    @property
+    def armed_left_s(self) -> float:
+        """How long the knife stays armed."""
+        return max(0.0, self.armed_s + ARMED_FOR_S - self._clock.now())
+
+    def _by_hand(self, request: requests.AnyRequest) -> None:
+        self.feed_notice = ""
+        self.bench.ask(request, "feed", self._fed)
+
+    def _fed(self, answer: replies.AnyReply | StereotomeError) -> None:
+        if isinstance(answer, StereotomeError):
+            self.feed_notice = words_of(answer)
+        elif isinstance(answer, replies.Depth):
+            self.journal.add("info", "feed", f"at {answer.depth_nm / 1000:.3f} µm, {answer.cuts} strokes counted")
 
     # Runs
 

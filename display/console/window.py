@@ -12,8 +12,9 @@ from imgui_bundle import hello_imgui, imgui, immapp
 from acquire.words import took
 from devices.errors import DisplayError, StereotomeError
 from display.console.keys import BINDINGS, MOUSE
-from display.console.panels import camera, live, log, stack, stage
+from display.console.panels import camera, live, log, review, sections, session, stack, stage
 from display.console.panels import widgets as w
+from display.console.review import Reviewer
 from display.gl.canvas import Canvas
 from display.gl.show import window_context
 
@@ -43,11 +44,15 @@ class ConsoleWindow:
     def __init__(self, console: Console, *, scale: float | None = None, remembers: bool = True) -> None:
         self.console = console
         self.canvas: Canvas | None = None
+        self.review: review.ReviewPanel | None = None
         self._failed: set[str] = set()
+        self._reviewer = Reviewer(console.journal)
         self._draws: dict[str, Callable[[Console], None]] = {
             "Stage": stage.draw,
             "Camera": camera.draw,
             "Stack": stack.draw,
+            "Sections": sections.draw,
+            "Session": session.draw,
             "Log": log.LogPanel().draw,
         }
         self.params = self._params(scale, remembers=remembers)
@@ -64,6 +69,12 @@ class ConsoleWindow:
             immapp.run(self.params)
         except RuntimeError as cause:
             raise DisplayError(str(cause).strip(), code="no-display") from None
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """End what draws beside the window."""
+        self._reviewer.close()
 
     def _params(self, scale: float | None, *, remembers: bool) -> hello_imgui.RunnerParams:
         params = hello_imgui.RunnerParams()
@@ -114,7 +125,16 @@ class ConsoleWindow:
             split("MainDockSpace", "Below", imgui.Dir.down, 0.22),
             split("Left", "LeftBelow", imgui.Dir.down, 0.58),
         ]
-        places = {"Stage": "Left", "Camera": "LeftBelow", "Stack": "Right", "Live": "MainDockSpace", "Log": "Below"}
+        places = {
+            "Stage": "Left",
+            "Camera": "LeftBelow",
+            "Stack": "Right",
+            "Sections": "Right",
+            "Session": "Right",
+            "Live": "MainDockSpace",
+            "Review": "MainDockSpace",
+            "Log": "Below",
+        }
         docking.dockable_windows = [self._dockable(name, place) for name, place in places.items()]
         return docking
 
@@ -126,6 +146,8 @@ class ConsoleWindow:
     def _attach(self) -> None:
         """Draw with ModernGL in the window's own context."""
         self.canvas = Canvas(window_context())
+        self.review = review.ReviewPanel(self.canvas, self._reviewer)
+        self._draws["Review"] = self.review.draw
         self._draws["Live"] = live.LivePanel(self.canvas).draw
 
     def _guarded(self, name: str, draw: Callable[[Console], None]) -> None:
@@ -147,6 +169,8 @@ class ConsoleWindow:
         self.params.fps_idling.fps_idle = BUSY_HZ if console_busy else IDLE_HZ
         if console.reviewing:
             self._review(console)
+        if console.running and console.run is not None and console.run.question is not None:
+            sections.ask(console, console.run.question)
         if console.shows_keys:
             _key_list(console)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from screens import virtual_screen
+from sections import BENCH
 from served import served
 
 from sim.pytest_plugin import SimBench
@@ -16,7 +17,7 @@ schema = 1
 name = "console-bench"
 [camera]
 driver = "sim"
-size_px = [256, 256]
+size_px = [SIDE, SIDE]
 bit_depth = 12
 pixel_um = 3.45
 exposure_ms = 2.0
@@ -31,6 +32,7 @@ limits = { min_um = -100.0, max_um = 100.0 }
 park_um = -80.0
 speed_um_s = 5000.0
 """
+BLOCK = BENCH.replace("[48, 40]", "[160, 128]") + '\n[sim]\nspecimen = "block"\nseed = 11\n'
 HAND = Path(__file__).with_name("hand.py")
 PICTURES = os.environ.get("STEREOTOME_PICTURES")  # where the pictures of the documentation are wanted
 
@@ -39,7 +41,7 @@ PICTURES = os.environ.get("STEREOTOME_PICTURES")  # where the pictures of the do
 def bench(tmp_path_factory):
     folder = tmp_path_factory.mktemp("console")
     rig = folder / "rig.toml"
-    rig.write_text(RIG)
+    rig.write_text(RIG.replace("SIDE", "512" if PICTURES else "96"))
     bench = SimBench([str(rig), "--dir", str(folder / "b")])
     yield bench
     bench.close()
@@ -57,12 +59,25 @@ def screen():
         yield environment
 
 
-@pytest.fixture
-def drive(server, screen, tmp_path):
-    """Drive the console by a function of `driven`; returns its exit code and where its pictures are."""
+@pytest.fixture(scope="module")
+def knife_server(tmp_path_factory):
+    """The instrument process of a bench with a knife, on whose third face debris falls."""
+    folder = tmp_path_factory.mktemp("knife")
+    rig = folder / "rig.toml"
+    rig.write_text(BLOCK if PICTURES is None else BLOCK.replace("[160, 128]", "[480, 384]"))
+    bench = SimBench([str(rig), "--dir", str(folder / "b"), "--fault", "block.debris@3"])
+    with served(bench.instrument) as server:
+        yield server
+    bench.close()
 
-    def run(function, *, scale=1.0):
+
+@pytest.fixture
+def drive(screen, tmp_path):
+    """Drive the console by a function of `driven`; returns its exit code and what it said."""
+
+    def run(function, server, *, scale=1.0):
         folder = tmp_path if PICTURES is None else Path(PICTURES)
+        scale *= 1.0 if PICTURES else 0.5  # everything at its place, on a quarter of the pixels
         child = subprocess.run(
             [sys.executable, str(HAND), function, str(server.connection), str(folder), str(scale)],
             env={**screen, "XDG_CONFIG_HOME": str(tmp_path), "XDG_RUNTIME_DIR": str(server.runtime)},

@@ -2,6 +2,7 @@
 
 import os
 import signal
+from dataclasses import replace
 
 from hand import KEY, MENU
 
@@ -82,3 +83,45 @@ def picks_up(hand):
     hand.wait(lambda: hand.console.running and hand.console.eyes.seen)
     hand.shot("console_200")
     hand.wait_state("COMPLETED")
+
+
+def sections(hand):
+    """Home, approach, feed, arm and cut by hand; then a run that asks about debris; then look at what was taken."""
+    console = hand.console
+    hand.ctx.window_focus("//Sections")
+    hand.click("//Stage/Park")
+    hand.at(-90.0)
+    hand.click("//Sections/Home feed")
+    hand.wait(lambda: console.feed is not None and console.feed.state == "ready")
+    hand.enter("//Sections/µm deep", 20.0)
+    hand.click("//Sections/Approach")
+    hand.wait(lambda: abs(console.feed.depth_nm - 20_000) < 100)
+    hand.enter("//Sections/nm thick", 500.0)
+    hand.click("//Sections/Feed one")
+    hand.wait(lambda: abs(console.feed.depth_nm - 20_500) < 100)
+    hand.click("//Sections/Arm knife")
+    hand.click("//Sections/Cut one")
+    hand.wait(lambda: console.feed.cuts == 1)
+    hand.ctx.item_check("//Sections/cut sections, a stack of each face")
+    hand.enter("//Sections/sections", 3)
+    hand.enter("//Sections/wipes at debris (0 asks)", 0)
+    hand.shot("console_sections")
+    console.form.marks.top_um, console.form.marks.bottom_um, console.form.planes = 2.0, -2.0, 3
+    hand.wait(lambda: getattr(console.planned, "planes", 0) == 9 and not console.why_no_start())
+    hand.key(KEY.r | KEY.mod_ctrl)
+    hand.shot("console_sections_review")
+    hand.click("//Review before the start/Start now")
+    hand.wait(lambda: console.run is not None and console.run.question is not None)
+    hand.shot("console_hold")
+    hand.click("//The run asks/accept")
+    hand.wait_state("COMPLETED")
+    hand.wait(lambda: not console.running)
+    hand.ctx.window_focus("//Review")
+    hand.click("//Review/Last run")
+    panel = hand.window.review
+    for mode, stereo in (("slice", "mono"), ("orthogonal", "anaglyph-grey"), ("mip", "parallel")):
+        panel.shown = replace(panel.shown, mode=mode, stereo=replace(panel.shown.stereo, mode=stereo))
+        hand.wait(lambda: (panel.reviewer.drawn is not None and not panel.reviewer.busy) or panel.reviewer.problem)
+        assert not panel.reviewer.problem
+        assert panel.reviewer.drawn.picture.std() > 5
+        hand.shot(f"console_review_{mode}")

@@ -10,11 +10,14 @@ from pathlib import Path
 from imgui_bundle import imgui
 from imgui_bundle.immapp import testing
 
+from display.console import model
 from display.console.app import opened
 from display.console.instrument import Served
-from display.console.window import ConsoleWindow
+from display.console.window import BUSY_HZ, ConsoleWindow
 
 PATIENCE = 1500  # frames
+WAITING_HZ = 8.0
+LIVE_HZ = 10.0
 KEY = imgui.Key
 MENU = "//##MainMenuBar/##MenuBar"
 
@@ -30,9 +33,12 @@ class Hand:
 
     def wait(self, wanted):
         """Let frames pass until something holds, and return it."""
+        pace = self.window.params.fps_idling
         for _ in range(PATIENCE):
             if found := wanted():
+                pace.fps_max = BUSY_HZ
                 return found
+            pace.fps_max = WAITING_HZ  # who waits needs no more pictures than that
             self.ctx.yield_()
         told = "\n".join(map(str, self.console.journal.lines()))
         raise AssertionError(f"it did not come. State {self.console.state}, journal:\n{told}")
@@ -76,6 +82,7 @@ def main(function, connection, folder, scale):
 
     with ExitStack() as stack:
         console = opened(Served(Path(connection)), stack)
+        model.LIVE_HZ = LIVE_HZ
         console.form.folder = str(Path.cwd() / "run-{run}")
         window = ConsoleWindow(console, scale=float(scale), remembers=False)
 
@@ -87,6 +94,7 @@ def main(function, connection, folder, scale):
             getattr(driven, function)(hand)
             assert window.canvas.context.error == "GL_NO_ERROR"
 
+        stack.callback(window.close)
         testing.run(test_function=drive, runner_params=window.params)
 
 

@@ -12,19 +12,30 @@ pytestmark = needs_screen
 PATIENCE_S = 120.0
 
 
-def test_an_operator_takes_a_stack(drive):
-    code, said = drive("first_run")
+def test_an_operator_takes_a_stack(drive, server):
+    code, said = drive("first_run", server)
     assert code == 0, said
 
 
 def test_a_console_crashes_and_the_run_goes_on(drive, server):
-    code, said = drive("crashes")
+    code, said = drive("crashes", server)
     assert code == -signal.SIGKILL, said
     with Instrument.connect(server.connection) as looker:
         assert looker.state.run.state in {"RUNNING", "COMPLETED"}
-    code, said = drive("picks_up", scale=2.0)
+    code, said = drive("picks_up", server, scale=2.0)
     assert code == 0, said
     with Instrument.connect(server.connection) as looker:
         run = looker.wait_for_run(PATIENCE_S)
     stored = open_run(Path(run.folder))
     assert (stored.state, stored.missing) == (RunEnd.COMPLETED, [])
+
+
+def test_sections_by_hand_and_in_a_run_that_asks_and_their_review(drive, knife_server):
+    code, said = drive("sections", knife_server)
+    assert code == 0, said
+    with Instrument.connect(knife_server.connection) as looker:
+        run = looker.wait_for_run(PATIENCE_S)
+    stored = open_run(Path(run.folder))
+    assert (stored.state, stored.missing, run.sections) == (RunEnd.COMPLETED, [], 3)
+    asked = [record for record in stored.records if record["e"] == "hold"]
+    assert len(asked) == 1

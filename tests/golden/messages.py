@@ -64,6 +64,8 @@ MESSAGES = [
     q.JogStage(by_um=-0.5),
     q.ZeroStage(),
     q.ApproachSection(depth_um=100.0),
+    q.HomeFeed(),
+    q.RetractKnife(),
     q.FeedSection(thickness_nm=70.0, expect_section=3),
     q.ArmKnife(),
     q.CutSection(expect_section=3),

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 WHITE = 0xFFFFFFFF
 BLACK = 0xFF000000
+SHADE = 0xA0000000
 YELLOW = 0xFF30D0FF
 LINE_EM = 5.0
 
@@ -165,5 +166,6 @@ def along(pixels: np.ndarray, line: tuple[tuple[int, int], tuple[int, int]]) -> 
 
 
 def _text(lines: imgui.ImDrawList, x: float, y: float, text: str) -> None:
-    lines.add_text(imgui.ImVec2(x + 1, y + 1), BLACK, text)
+    size = imgui.calc_text_size(text)
+    lines.add_rect_filled(imgui.ImVec2(x - 3, y - 1), imgui.ImVec2(x + size.x + 3, y + size.y + 1), SHADE)
     lines.add_text(imgui.ImVec2(x, y), WHITE, text)

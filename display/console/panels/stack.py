@@ -86,7 +86,7 @@ def _advice(console: Console) -> None:
         overlap = told.overlap_percent(console.planned.step_um)
         colour = w.GREY if overlap > 0 else w.ORANGE
         more = "" if overlap > 0 else " (extended focus will have gaps)"
-        imgui.text_colored(colour, f"planes overlap by {overlap:.0f} % of it{more}")
+        w.words(f"planes overlap by {overlap:.0f} % of it{more}", colour)
 
 
 def _cost(console: Console) -> None:

@@ -1,0 +1,290 @@
+"""A finished run looked at again: any kind of picture in any stereo, drawn by a thread of its own: nothing waits.
+
+The thread has its own OpenGL context. Of what is wished for, only the newest is drawn.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import tifffile
+
+from acquire.store import is_run, open_run
+from devices.errors import InputError, StereotomeError
+from display.controls import Shown
+from display.load import limits_of, load_volume
+from display.modes import all_modes
+from display.relief import Relief, ReliefLook
+from display.relief_plots import profile
+from display.resolve import fitting_pixel_um
+from display.scene import Band, Layer, Light, Scene, Transfer, Volume
+from processing.heights import read_heights
+from processing.outputs import write_durably
+from processing.pictures import png_bytes
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from display.console.journal import Journal
+    from display.relief_plots import Profile
+
+    Picture = NDArray[np.uint8]
+    Line = tuple[tuple[int, int], tuple[int, int]]
+
+FLAT = ("extended focus", "range", "relief")
+RESULTS = "focus"
+RELIEF_VIEW = (25.0, -50.0)
+
+
+def kinds() -> tuple[str, ...]:
+    """Return the names of all kinds of picture of a run."""
+    return (*FLAT, *(name for name, mode in all_modes().items() if mode.data is Volume))
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is to be drawn.
+
+    Attributes
+    ----------
+    folder : str
+        The run, or anything else `display.load.load_volume` reads.
+    shown : Shown
+        Kind of picture, viewer, stereo, plane.
+    size : (width, height)
+        In pixels.
+    colours : str
+        Colour table; empty for the data's own.
+    points : tuple of (value, opacity)
+        Opacity against value, for translucent volumes; empty for the usual.
+    threshold : float or None
+        Value of a surface.
+    """
+
+    folder: str
+    shown: Shown
+    size: tuple[int, int]
+    colours: str = ""
+    points: tuple[tuple[float, float], ...] = ()
+    threshold: float | None = None
+    light: Light = field(default_factory=Light)
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """A picture, what it is of, and in what scene, so that places in it can be measured."""
+
+    wish: Wish
+    picture: Picture
+    scene: Scene
+
+    @property
+    def pixel_um(self) -> float:
+        """Size of a pixel of the picture in the screen plane."""
+        return fitting_pixel_um(self.scene, self.wish.size)
+
+    def length_um(self, line: Line) -> float:
+        """Return the length of a line between two pixels (x, y) of a flat picture."""
+        (x0, y0), (x1, y1) = line
+        return float(np.hypot(x1 - x0, y1 - y0)) * self.pixel_um
+
+    def profile(self, line: Line) -> Profile | None:
+        """Return heights along a line between two pixels (x, y) of a range picture; None in other pictures."""
+        data = self.scene.layers[0].data
+        if self.wish.shown.mode != "range" or not isinstance(data, Relief):
+            return None
+        middle = data.size_um[:2] / 2
+        half = np.array(self.wish.size) / 2
+        start, end = (middle + (np.array(place) - half) * self.pixel_um for place in line)
+        most = data.size_um[:2]
+        ends = [tuple(float(v) for v in np.clip(place, 0, most)) for place in (start, end)]
+        return profile(data.heights, (ends[0], ends[1]))  # type: ignore[arg-type]
+
+
+class Data:
+    """What was read of one folder, each thing once."""
+
+    def __init__(self, folder: str) -> None:
+        self.folder = folder
+        self._kept: dict[str, Any] = {}
+
+    def scene(self, wish: Wish) -> Scene:
+        """Return the scene that is wished for."""
+        shown = wish.shown
+        view = replace(shown.view, azimuth_deg=0, elevation_deg=0) if shown.mode in FLAT[:2] else shown.view
+        return Scene((self._layer(wish),), view, shown.stereo)
+
+    def volume(self) -> Volume:
+        """Return the stack as a volume."""
+        made: Volume = self._once("volume", lambda: volume_of(Path(self.folder)))
+        return made
+
+    def _layer(self, wish: Wish) -> Layer:
+        match wish.shown.mode:
+            case "extended focus":
+                return Layer(_coloured(self._once("focus", self._focus), wish.colours), "slice")
+            case "range":
+                look = ReliefLook(paint="heights", colours=wish.colours or "viridis")
+                return Layer(self._once("range", lambda: self._relief(draped=False)), "isometric", look)
+            case "relief":
+                return Layer(self._once("relief", lambda: self._relief(draped=True)), "relief", self._lit(wish))
+            case mode:
+                return Layer(_coloured(self.volume(), wish.colours), mode, _look(wish))
+
+    def _lit(self, wish: Wish) -> ReliefLook:
+        return ReliefLook(paint="image", light=wish.light)
+
+    def _focus(self) -> Volume:
+        image = tifffile.imread(self._result("extended_focus.tif"))
+        values = np.ascontiguousarray(image if image.ndim == 2 else image.mean(axis=2).astype(image.dtype))[None]
+        heights = read_heights(self._result("range.tif"))
+        return Volume((Band(values, limits_of(values), "extended focus"),), (1.0, *heights.pixel), heights.unit)
+
+    def _relief(self, *, draped: bool) -> Relief:
+        from display.relief_command import read_drape, usual_exaggeration  # noqa: PLC0415
+
+        heights = read_heights(self._result("range.tif"))
+        if not draped:
+            return Relief(heights)
+        return Relief(heights, usual_exaggeration(heights), read_drape(self._result("extended_focus.tif")))
+
+    def _result(self, name: str) -> Path:
+        path = Path(self.folder) / RESULTS / name
+        if not path.exists():
+            raise InputError(
+                f"{self.folder} has no {name}.",
+                why="It is made while a run is taken when the recipe asks for it.",
+                fix=f"make it now: stereotome process focus {self.folder} -o {self.folder}/{RESULTS}",
+            )
+        return path
+
+    def _once(self, name: str, make: Any) -> Any:
+        if name not in self._kept:
+            self._kept[name] = make()
+        return self._kept[name]
+
+
+def volume_of(path: Path) -> Volume:
+    """Return a stack as a volume; of a run of sections the middle plane of each, as deep as what was taken off."""
+    run = open_run(path) if is_run(path) else None
+    if run is None or run.layout.sections < 2 or run.manifest["recipe"].get("sections") is None:
+        return load_volume(path)
+    middle = run.layout.planes_each // 2
+    slots = [slot for slot, each in sorted(run.planes.items()) if (each.header.plane, each.header.band) == (middle, 0)]
+    if not slots:
+        raise InputError(f"{path} holds no whole section yet.", fix="look again later", code="stack-empty")
+    planes = [run.read(slot) for slot in slots]
+    values = np.stack([plane if plane.ndim == 2 else plane[..., 1] for plane in planes])
+    thickness_um, pixel_um = run.manifest["recipe"]["sections"]["thickness_nm"] / 1000, run.layout.pixel_um
+    spacing = (thickness_um, pixel_um, pixel_um) if pixel_um else (1.0, 1.0, 1.0)
+    return Volume((Band(values, limits_of(values)),), spacing, "µm" if pixel_um else "voxels")
+
+
+def _coloured(volume: Volume, colours: str) -> Volume:
+    """Return a volume of one band in other colours."""
+    if not colours or len(volume.bands) > 1:
+        return volume
+    return replace(volume, bands=(replace(volume.bands[0], colour=colours),))
+
+
+def _look(wish: Wish) -> Any:
+    look = wish.shown.look
+    if not hasattr(look, "transfer"):
+        return replace(look, light=wish.light)
+    return replace(look, transfer=Transfer(wish.points), threshold=wish.threshold, light=wish.light)
+
+
+class Reviewer:
+    """Draws what is wished for, in a thread of its own, from the first wish on.
+
+    Attributes
+    ----------
+    drawn : Drawn or None
+        The newest picture.
+    problem : str
+        Why there is none, in words.
+    planes : int
+        Of the stack read last.
+    limits : (float, float)
+        Grey levels shown as nothing and as full.
+    """
+
+    def __init__(self, journal: Journal) -> None:
+        self.drawn: Drawn | None = None
+        self.problem = ""
+        self.planes = 1
+        self.limits = (0.0, 4095.0)
+        self._journal = journal
+        self._wish: Wish | None = None
+        self._wished = threading.Condition()
+        self._over = False
+        self._thread: threading.Thread | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether what was wished for last is not there yet."""
+        return self._wish is not None and not self.problem and (self.drawn is None or self.drawn.wish != self._wish)
+
+    def wish(self, wish: Wish) -> None:
+        """Wish for a picture; what was wished for before and is not begun is dropped."""
+        if wish == self._wish:
+            return
+        with self._wished:
+            self._wish, self.problem = wish, ""
+            self._wished.notify()
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name="review", daemon=True)
+            self._thread.start()
+
+    def save(self, path: Path) -> None:
+        """Write the newest picture as PNG."""
+        if self.drawn is not None:
+            write_durably(path, png_bytes(self.drawn.picture))
+            self._journal.add("info", "review", f"saved {path}")
+
+    def close(self) -> None:
+        """Draw no more."""
+        with self._wished:
+            self._over = True
+            self._wished.notify()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _run(self) -> None:
+        from display.gl.renderer import Renderer  # noqa: PLC0415  a console may never review
+
+        done, data = None, Data("")
+        with Renderer() as renderer:
+            while (wish := self._next(done)) is not None:
+                done = wish
+                if data.folder != wish.folder:
+                    data = Data(wish.folder)
+                try:
+                    self.drawn = self._draw(renderer, data, wish)
+                except (StereotomeError, OSError) as error:
+                    self.problem = error.message() if isinstance(error, StereotomeError) else str(error)
+                    self._journal.add("error", "review", self.problem)
+
+    def _draw(self, renderer: Any, data: Data, wish: Wish) -> Drawn:
+        from display.render import picture  # noqa: PLC0415
+
+        scene = data.scene(wish)
+        if wish.shown.mode not in FLAT:
+            volume = data.volume()
+            self.planes, self.limits = volume.shape[0], volume.bands[0].limits
+        return Drawn(wish, picture(renderer, scene, wish.size), scene)
+
+    def _next(self, done: Wish | None) -> Wish | None:
+        with self._wished:
+            while not self._over and self._wish is done:
+                self._wished.wait()
+            return None if self._over else self._wish
+
+
+def first_shown() -> Shown:
+    """Return what a review begins with."""
+    return Shown(kinds(), 1, mode="extended focus")
