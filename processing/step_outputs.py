@@ -11,7 +11,7 @@ from processing.outputs import tiff_bytes, write_durably
 from processing.pictures import png_bytes
 from processing.relief_picture import range_picture, relief_picture
 from processing.result_folder import csv_bytes
-from processing.table import Table
+from processing.table import Picture, Table
 from processing.volume_files import WRITTEN, middle_cuts, volume_names, write_volume
 
 if TYPE_CHECKING:
@@ -49,6 +49,8 @@ def write_layers(part: Path, made: Layers, spacing_um: Spacing, start_um: float 
     for name, value in made.items():
         if isinstance(value, Table):
             write_durably(part / f"{name}.csv", csv_bytes(value.columns, value.rows))
+        elif isinstance(value, Picture):
+            write_durably(part / f"{name}.png", png_bytes(value.pixels))
         elif np.ndim(value) == 2:
             write_map(part, name, np.asarray(value), made.get("pixel_um", spacing_um[2]))
         elif np.ndim(value) >= 3:
@@ -80,8 +82,8 @@ def summed_up(value: Any) -> dict[str, Any]:
     """Describe a layer for the report: an array by its extent, a table by its size, anything else by itself."""
     if isinstance(value, Table):
         return {"columns": list(value.columns), "rows": len(value.rows)}
-    if np.ndim(value) < 2:
-        return {"value": value}
+    if isinstance(value, Picture):
+        return {"shape": value.pixels.shape, "dtype": "picture"}
     known = value[np.isfinite(value)] if value.dtype.kind == "f" else value
     spread = {"min": known.min(), "mean": known.mean(dtype=np.float64), "max": known.max()} if known.size else {}
     return {"shape": value.shape, "dtype": str(value.dtype), **{k: float(v) for k, v in spread.items()}}

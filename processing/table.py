@@ -1,8 +1,13 @@
-"""A table, as an operator gives it: written as CSV."""
+"""What operators give besides arrays and numbers: tables, written as CSV, and pictures, written as PNG."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
@@ -23,3 +28,16 @@ class Table:
     def column(self, name: str) -> list[object]:
         """Return the values under a name."""
         return [row[self.columns.index(name)] for row in self.rows]
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """Pixels to be looked at.
+
+    Attributes
+    ----------
+    pixels : array (h, w, 3) uint8
+        RGB.
+    """
+
+    pixels: NDArray[np.uint8]

@@ -22,6 +22,7 @@ from processing.pipeline import Pipeline, Step
 from processing.result_folder import check_results, json_bytes, plain
 from processing.step_inputs import Choices, Given, open_layers, read_steps
 from processing.step_outputs import files_of, summed_up, write_layers
+from processing.table import Picture, Table
 from processing.volume_files import cuts_picture, publish
 
 if TYPE_CHECKING:
@@ -251,7 +252,7 @@ WORK = ".blocks"
 
 def parted(made: Layers) -> tuple[Layers, Layers]:
     """Return what is told in the report, and what is written as files."""
-    files = {name: value for name, value in made.items() if np.ndim(value) >= 2 or hasattr(value, "rows")}
+    files = {name: value for name, value in made.items() if isinstance(value, Table | Picture) or np.ndim(value) >= 2}
     return {name: value for name, value in made.items() if name not in files}, files
 
 

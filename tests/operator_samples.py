@@ -110,6 +110,7 @@ SAMPLES: dict[str, Sample] = {
     "mask.central": lambda: (noisy_volume(), {"neck_px": 1.0}),
     "grow.region": lambda: (holed_mask(), {"seed": (2, 3, 2), "tolerance": 10.0}),
     "grow.balloon": lambda: (holed_mask(), {"seed": (2, 3, 2), "low": 1.0, "high": 255.0, "stiffness_px": 1.0}),
+    "skeleton.graph": lambda: (holed_mask(), {}),
     "bands.calculate": lambda: (two_bands(), {"formula": "(b0-b1)/(b0+b1)"}),
     "bands.ratio": lambda: (two_bands(), {"background": (10.0, 10.0)}),
     "bands.principal": lambda: (two_bands(), {}),

@@ -13,6 +13,7 @@ from devices.cli import run
 from devices.errors import InputError
 from processing.operators import Layer, Operator, find_operator, operators
 from processing.pipeline import Pipeline, Step
+from processing.table import Picture, Table
 from processing.tiles import cut, tiles
 
 NAMES = [o.name for o in operators()]
@@ -23,6 +24,7 @@ def copied(layers: dict[str, object]) -> dict[str, object]:
 
 
 def same(a: object, b: object) -> None:
+    a, b = (v.pixels if isinstance(v, Picture) else v.rows if isinstance(v, Table) else v for v in (a, b))
     np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
 
 
