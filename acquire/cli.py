@@ -39,6 +39,7 @@ from acquire.session import (
 from acquire.store import RunEnd, is_run, open_run
 from acquire.terminal import Terminal
 from acquire.useq_file import is_useq, read_useq
+from acquire.watchdog import watched
 from acquire.words import ranges, took
 from devices.clock import SystemClock
 from devices.errors import InputError, StereotomeError
@@ -136,6 +137,8 @@ def run(
         else:
             rig = partial(opened, spec, CLOCK, transcript, home=sim)
             session = _new(stack, _given(loaded), spec, out, rig, events.put, options, ask=not yes)
+        if spec.microtome is not None:
+            stack.enter_context(watched(spec, CLOCK, session.run.stop))
         outcome = _execute(session, events, tell, quiet=json_, attended=options.attended)
     return _report(outcome, tell)
 

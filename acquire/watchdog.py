@@ -13,6 +13,7 @@ import select
 import subprocess
 import sys
 import threading
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from devices.clock import SystemClock
@@ -20,7 +21,7 @@ from devices.halt_rig import halt_rig
 from devices.rig import RigSpec
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from types import TracebackType
     from typing import Self
 
@@ -124,6 +125,34 @@ class Watchdog:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()
+
+
+@contextmanager
+def watched(spec: RigSpec, clock: Clock, halted: Callable[[], object]) -> Iterator[None]:
+    """Have a process of its own halt the devices should this one die, or stand still as a whole, meanwhile.
+
+    Parameters
+    ----------
+    halted : callable
+        As of `Watchdog`.
+    """
+    over = threading.Event()
+    with Watchdog(spec, clock) as watchdog:
+        watchdog.halted = halted
+        watchdog.wait_until_ready()
+        beating = threading.Thread(target=_beat, args=[watchdog, over], name="beat", daemon=True)
+        beating.start()
+        try:
+            yield
+        finally:
+            over.set()
+            beating.join()
+
+
+def _beat(watchdog: Watchdog, over: threading.Event) -> None:
+    watchdog.beat()
+    while not over.wait(BEAT_EVERY_S):
+        watchdog.beat()
 
 
 def watch(beats: int, say: int, watch: Watch, halt: Callable[[], None]) -> None:

@@ -3,10 +3,13 @@
 import os
 import re
 import signal
+import subprocess
 import threading
 
 import pytest
+from sections import BENCH, files, ready_rig
 from served import PATIENCE_S, SMALL_BENCH, served
+from wires import PROGRAM
 
 from acquire import requests
 from acquire.watchdog import BEAT, BYE, HALTED, READY, Watch, watch
@@ -99,6 +102,12 @@ def test_a_hang_halts_and_the_woken_one_is_told(pipes):
     os.close(pipes.to)
 
 
+def slowed(bench, path):
+    """The instrument file of a bench with a stage that takes its time."""
+    path.write_text(re.sub(r"speed_um_s *= *[0-9.]+", "speed_um_s = 4.0", bench.instrument.read_text(), count=1))
+    return path
+
+
 def eventually(condition):
     """Wait, generously, until something is so."""
     deadline = CLOCK.now() + PATIENCE_S
@@ -113,8 +122,7 @@ def moving(start_bench, tmp_path):
     slow = tmp_path / "slow.toml"
     slow.write_text(SMALL_BENCH.replace('"small"', '"slow"'))
     bench = start_bench(slow)
-    slow.write_text(re.sub(r"speed_um_s *= *[0-9.]+", "speed_um_s = 4.0", bench.instrument.read_text()))
-    with served(slow) as server:
+    with served(slowed(bench, slow)) as server:
         client = server.client()
         client.command("ann", wait_s=PATIENCE_S)
         client.ask(requests.MoveStage(z_um=90.0))
@@ -147,3 +155,17 @@ def test_a_stopped_process_is_given_up_and_moves_nothing_when_it_wakes(moving):
     server.process.send_signal(signal.SIGCONT)
     client.wait_for(lambda state: state.stopped, PATIENCE_S)
     assert bench.ask(do="truth")["z_um"] == pytest.approx(rest_um, abs=1.0)
+
+
+@pytest.mark.parametrize("signum", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_run_at_a_microtome_is_watched_without_a_server(start_bench, tmp_path, signum):
+    instrument, recipe = files(tmp_path, BENCH.replace("park_um = -90.0", "park_um = 90.0"))
+    bench = start_bench(instrument)
+    command = [*PROGRAM, "run", recipe, "-i", slowed(bench, tmp_path / "slow.toml"), "--out", tmp_path / "run", "--yes"]
+    with ready_rig(bench):
+        pass
+    with subprocess.Popen(list(map(str, command)), stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        eventually(lambda: bench.ask(do="truth")["z_um"] > 0.2)
+        process.send_signal(signum)
+        assert_at_rest_on_the_way(bench)
+        process.kill()
