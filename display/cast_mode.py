@@ -8,6 +8,7 @@ import numpy as np
 
 from display.cpu import cast as cpu
 from display.cpu.bricks import Bricks, make_bricks
+from display.cpu.shear import cast_sheared, main_axis, shearable, swept
 from display.light import linear_of
 from display.modes import Bar, Legend
 from display.rays import Rays, bounds, rays
@@ -82,14 +83,27 @@ class RayMode:
         self, canvas: Canvas, drawing: Drawing, band: Band, seen_by: Rays, uniforms: dict[str, Any]
     ) -> NDArray[np.float32]:
         """Cast one band on the processor."""
-        return cpu.cast(
-            self.kind,
-            bricks_of(canvas, band),
-            seen_by,
-            bounds(drawing.data, drawing.look.cut),
-            drawing.camera.size,
-            casting(band, uniforms),
-        )
+        return self.cast_with(canvas, drawing, band, seen_by, uniforms)
+
+    def cast_with(
+        self,
+        canvas: Canvas,
+        drawing: Drawing,
+        band: Band,
+        seen_by: Rays,
+        uniforms: dict[str, Any],
+        *,
+        table: Array | None = None,
+        lit: Array | None = None,
+    ) -> NDArray[np.float32]:
+        """Cast one band exactly, or while the picture moves by shearing where that shows the same."""
+        bricks, numbers = bricks_of(canvas, band), casting(band, uniforms)
+        box, size = bounds(drawing.data, drawing.look.cut), drawing.camera.size
+        if canvas.moving and lit is None and self.shade != DEPTH and shearable(self.kind, seen_by, numbers):
+            axis = main_axis(seen_by)
+            volume = canvas.keep(f"swept {axis}", (band.values,), lambda: swept(bricks, axis))
+            return cast_sheared(self.kind, volume, seen_by, box, size, numbers, table)
+        return cpu.cast(self.kind, bricks, seen_by, box, size, numbers, table=table, lit=lit)
 
     @property
     def defines(self) -> tuple[tuple[str, object], ...]:

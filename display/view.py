@@ -200,6 +200,7 @@ class Viewer:
 
     def _drawn(self, shown: Shown, *, moving: bool) -> Picture:
         width, height = self._window.size
+        self._renderer.canvas.moving = moving
         size = (max(width // 2, 1), max(height // 2, 1)) if moving else (width, height)
         if shown.mode == "live":
             return self._four(shown, size)

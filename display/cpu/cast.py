@@ -104,19 +104,25 @@ def cast(
     seen = np.zeros((size[1], size[0], 4), np.float32)
     eye = np.zeros(3) if rays.eye is None else rays.eye
     geometry = np.stack([rays.corner, rays.right, rays.down, rays.along, eye, rays.voxel_um, *box])
-    flat = np.array([*numbers[:LIGHT_X], *numbers.light, *numbers.answer], np.float64)
-    colours = np.zeros((TABLE, 4), np.float32) if table is None else finer(table)
+    given, colours = flat(numbers), finer(table)
     light = np.zeros((0, 0, 0), np.uint8) if lit is None else lit
     padded, low, high = bricks.padded, bricks.low, bricks.high
     over_rows(
         size[1],
-        lambda first, last: cast_rows(kind, padded, low, high, geometry, flat, colours, light, first, last, seen),
+        lambda first, last: cast_rows(kind, padded, low, high, geometry, given, colours, light, first, last, seen),
     )
     return seen
 
 
-def finer(table: Array) -> NDArray[np.float32]:
+def flat(numbers: Casting) -> NDArray[np.float64]:
+    """Return the numbers of a cast as one array."""
+    return np.array([*numbers[:LIGHT_X], *numbers.light, *numbers.answer], np.float64)
+
+
+def finer(table: Array | None) -> NDArray[np.float32]:
     """Return a table of colours with so many entries that the nearest one is as good as interpolating."""
+    if table is None:
+        return np.zeros((TABLE, 4), np.float32)
     places, given = np.linspace(0, 1, TABLE), np.linspace(0, 1, len(table))
     return np.stack([np.interp(places, given, column) for column in table.T], axis=1).astype(np.float32)
 

@@ -49,12 +49,15 @@ class Canvas:
         Where work per voxel is done.
     largest : int
         Longest side of a volume texture.
+    moving : bool
+        The picture is one of many in motion: what is faster and nearly the same will do.
     """
 
     def __init__(self, context: moderngl.Context, executor: Executor | None = None) -> None:
         self.context = context
         self.executor = executor or ("cpu" if is_software(context) else "gl")
         self.largest = int(context.info["GL_MAX_3D_TEXTURE_SIZE"])
+        self.moving = False
         self._programs: dict[object, moderngl.Program] = {}
         self._kept: dict[object, Kept] = {}
 

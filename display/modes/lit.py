@@ -107,16 +107,8 @@ class Translucent(LitMode):
     ) -> NDArray[np.float32]:
         lit = reaching(canvas, drawing, band)
         padded = None if lit is None else canvas.keep("lit", (lit,), lambda: make_bricks(lit)).padded
-        return cpu.cast(
-            self.kind,
-            bricks_of(canvas, band),
-            seen_by,
-            bounds(drawing.data, drawing.look.cut),
-            drawing.camera.size,
-            casting(band, uniforms),
-            table=transfer_of(canvas, drawing, band),
-            lit=padded,
-        )
+        table = transfer_of(canvas, drawing, band)
+        return self.cast_with(canvas, drawing, band, seen_by, uniforms, table=table, lit=padded)
 
     def legend(self, drawing: Drawing) -> Legend:  # noqa: D102
         words = common_words(drawing)
