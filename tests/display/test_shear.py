@@ -25,7 +25,7 @@ def clouds():
 )
 def test_a_moving_picture_is_nearly_the_still_one(renderers, view, mode, look):
     values = 255 - clouds() if mode == "minip" else clouds()
-    options = VolumeLook(transfer=Transfer(((90, 0), (255, 0.2)), 1.0), **look)
+    options = VolumeLook(transfer=Transfer(((0, 0), (255, 0.1)), 1.0), **look)
     volume = Volume((Band(values, (0.0, 255.0)),), (1.3, 1.0, 1.0))
     scene, renderer = Scene((Layer(volume, mode, options),), view), renderers["cpu"]
     still = renderer.draw(scene, SIZE)[..., 0]
