@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def sweep_stale(folder: Path) -> tuple[Path, ...]:
-    """Unlink every ring in ``folder`` whose writer is gone, and return their paths.
+def sweep_stale(folder: Path, pattern: str = "stereotome-*.ring") -> tuple[Path, ...]:
+    """Unlink every ring in ``folder``, or other file so locked, whose writer is gone, and return their paths.
 
-    Readers still attached to one keep their memory. Other users' rings are left alone.
+    Readers still attached to one keep their memory. Other users' files are left alone.
     """
-    return tuple(path for path in sorted(folder.glob("stereotome-*.ring")) if _unlink_if_stale(path))
+    return tuple(path for path in sorted(folder.glob(pattern)) if _unlink_if_stale(path))
 
 
 def _unlink_if_stale(path: Path) -> bool:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import mmap
 import os
+import sys
 import tempfile
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 PAGE, WORD, PLACES, COLOURS, EYES = 4096, 8, 3, 3, 2
 MAGIC = int.from_bytes(b"twoviews", "little")
+NAMED = "stereotome-views-"
 SHARED = Path("/dev/shm")  # noqa: S108  the kernel's own place for shared memory; files are made 0600
 
 
@@ -66,12 +68,15 @@ class Mailbox:
 
     @classmethod
     def create(cls, size: tuple[int, int]) -> Mailbox:
-        """Make the file for views of (width, height); the end that draws does so, and removes it with `remove`."""
-        folder = SHARED if SHARED.is_dir() else None
-        handle, name = tempfile.mkstemp(prefix="stereotome-views-", dir=folder)
+        """Make the file for views of (width, height); the end that draws does so, and removes it with `remove`.
+
+        Files whose makers were killed are removed.
+        """
+        handle, name = tempfile.mkstemp(prefix=f".{NAMED}", dir=SHARED if SHARED.is_dir() else None)
         try:
+            path = _kept_for(handle, Path(name))
             os.ftruncate(handle, _bytes_of(size))
-            box = cls(Path(name), size, mmap.mmap(handle, _bytes_of(size)))
+            box = cls(path, size, mmap.mmap(handle, _bytes_of(size)))
         finally:
             os.close(handle)
         box._words[At.WIDTH], box._words[At.HEIGHT] = size
@@ -173,6 +178,19 @@ class Mailbox:
         """Let go of the memory and remove the file."""
         self.close()
         self.path.unlink(missing_ok=True)
+
+
+def _kept_for(handle: int, hidden: Path) -> Path:
+    """Lock a new file for as long as its memory is in use, so that nobody sweeps it, and give it its name."""
+    path = hidden.with_name(hidden.name.removeprefix("."))
+    if sys.platform == "linux":
+        from acquire.ring_janitor import sweep_stale  # noqa: PLC0415  such locks are Linux's alone
+        from acquire.ring_layout import WRITER_BYTE  # noqa: PLC0415
+        from acquire.ring_locks import try_lock  # noqa: PLC0415
+
+        sweep_stale(hidden.parent, f"{NAMED}*")
+        try_lock(handle, WRITER_BYTE)
+    return hidden.rename(path)
 
 
 def _bytes_of(size: Any) -> int:

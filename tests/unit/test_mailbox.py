@@ -138,3 +138,24 @@ def test_the_file_goes_with_its_maker(box):
     assert made.path.stat().st_mode & 0o077 == 0
     made.remove()
     assert not made.path.exists()
+
+
+MAKER = """
+from display.mailbox import Mailbox
+box = Mailbox.create((2, 2))
+print(box.path, flush=True)
+input()
+"""
+
+
+def test_the_file_of_a_killed_maker_is_swept_and_no_other(box):
+    maker = subprocess.Popen([sys.executable, "-c", MAKER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert maker.stdout is not None
+    left = Path(maker.stdout.readline().strip())
+    Mailbox.create((2, 2)).remove()
+    assert left.exists()  # its maker lives
+    maker.kill()
+    maker.communicate()
+    Mailbox.create((2, 2)).remove()
+    assert not left.exists()
+    assert box.path.exists()
