@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 SLAB = 32  # planes that are made to triangles at a time; even, so that large triangles fit
 AREA_LOST = 0.75  # of the difference: a third where all is bent, all of it where all is edges
 VOLUME_LOST = 1 / 3  # of the difference: volume is lost where the surface is bent
-LARGEST = 0.15  # difference, as a share, of features that are not too small for large triangles
+SMOOTH = (0.05, 0.15)  # of area and volume: where both differ by more, it is too small, or rough, and left as it is
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,24 +51,24 @@ class FacetSums:
     @property
     def area_um2(self) -> Array:
         """Area of each label."""
-        return _improved(self.areas, AREA_LOST)
+        return _improved(self.areas, AREA_LOST, SMOOTH[0])
 
     @property
     def volume_um3(self) -> Array:
         """Volume of each label."""
-        return _improved(np.abs(self.volumes), VOLUME_LOST)
+        return _improved(np.abs(self.volumes), VOLUME_LOST, SMOOTH[1])
 
     @property
     def density_per_um(self) -> tuple[float, float]:
         """Area per volume of all, and how uncertain it is."""
         small, large = self.totals_um2 / self.seen_um3
-        better = float(_improved(np.array([[small], [large]]), AREA_LOST)[0])
-        return better, abs(better - float(small)) / 2
+        better = float(_improved(np.array([[small], [large]]), AREA_LOST, SMOOTH[0])[0])
+        return better, AREA_LOST / 2 * abs(float(small - large))
 
 
-def _improved(pair: Array, lost: float) -> Array:
+def _improved(pair: Array, lost: float, smooth: float) -> Array:
     small, large = pair
-    more = np.where(np.abs(small - large) < LARGEST * small, lost * (small - large), 0.0)
+    more = np.where(np.abs(small - large) < smooth * small, lost * (small - large), 0.0)
     return np.asarray(small + more)
 
 

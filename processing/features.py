@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 Table = dict[str, Any]  # of arrays, a column each
 MOST_FEATURES = 2_000_000  # a table of more rows is noise that was labelled
+FEWEST_FOR_FACETS = 27  # voxels: smaller features are cut by triangles to less than they are
 AXES = "zyx"
 SPHERE = 36 * np.pi  # S³ / V² of a ball
 
@@ -207,21 +208,22 @@ def measured(
     table = {
         "feature": found.labels,
         "voxels": found.sums[:, 0].astype(np.int64),
-        **_sizes(found, spacing, spans, facets),
+        **_sizes(found, spacing, spans, facets, cut),
     }
     table |= _places(found, spacing) | _moments(widths, axes) | _brightness(found, grey)
     table["euler"] = found.euler.astype(np.int64)
-    table["at_border"] = at_border(found.spans, labels.shape)
+    table["at_border"] = cut
     if facets is not None:
-        table["volume_facets_um3"] = np.where(table["at_border"], np.nan, facets.volume_um3[found.labels])
+        table["volume_facets_um3"] = np.where(cut, np.nan, facets.volume_um3[found.labels])
     table["counted"] = (found.spans[:, 3:] < np.array(labels.shape) - 1)[:, np.array(labels.shape) > 1].all(axis=1)
     return table
 
 
-def _sizes(found: Sums, spacing: Spacing, spans: Reach, facets: FacetSums | None) -> Table:
+def _sizes(found: Sums, spacing: Spacing, spans: Reach, facets: FacetSums | None, cut: Array) -> Table:
     volume, crofton = found.sums[:, 0] * np.prod(spacing), found.area_um2
-    area = crofton if facets is None else facets.area_um2[found.labels]
-    known = np.where(area > 0, area, np.nan)
+    fine = np.zeros(len(volume), bool) if facets is None else found.sums[:, 0] >= FEWEST_FOR_FACETS
+    area = np.where(fine, 0 if facets is None else facets.area_um2[found.labels], crofton)
+    known = np.where((area > 0) & ~cut, area, np.nan)  # shape needs all of the surface
     return {
         "volume_um3": volume,
         "surface_um2": area,

@@ -28,7 +28,7 @@ CUT_PX = 420  # longer side of a cut
 GAP_PX = 6
 GOLDEN = 0.381966  # of a turn: hues that stay apart
 PLOT_INCH = (5.2, 3.6)
-MARGINS = {"left": 0.13, "right": 0.97, "bottom": 0.14, "top": 0.91}
+MARGINS = {"left": 0.16, "right": 0.97, "bottom": 0.14, "top": 0.91}
 SVG_SEED = "stereotome"  # names within an SVG file stay the same from run to run
 INSIDE, BORDER, LINE = "#2166ac", "#b2182b", "#d95f02"
 
@@ -131,7 +131,7 @@ KINDS = ["whole", "cut by the border"]
 
 
 def size_and_shape(diameters: Array, sphericity: Array, cut: NDArray[np.bool_], unit: str) -> dict[str, bytes]:
-    """Draw shape over size, a point for each feature."""
+    """Draw shape over size, a point for each feature whose shape is known."""
 
     def draw(axes: Axes) -> None:
         for chosen, colour, word in ((~cut, INSIDE, KINDS[0]), (cut, BORDER, KINDS[1])):
@@ -140,6 +140,6 @@ def size_and_shape(diameters: Array, sphericity: Array, cut: NDArray[np.bool_], 
         axes.set(xlabel=f"diameter of the ball of equal volume, {unit}", ylabel="sphericity", title="Size and shape")
         if diameters.max() > 10 * diameters.min() > 0:
             axes.set_xscale("log")
-        axes.legend(loc="upper right")
+        axes.legend(loc="lower right")
 
     return plotted(draw, "size_and_shape")
