@@ -11,6 +11,7 @@ import numpy as np
 from devices.errors import DisplayError
 from display.light import linear_of
 from display.scene import Light
+from processing.facets import point_normals
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -46,6 +47,8 @@ class Mesh:
     name : str
     lines : array (k, 2) int
         Ends of lines, such as outlines of sections.
+    normals : array (n, 3), optional
+        Of length 1, where they are known better than from the triangles.
     """
 
     points: Array
@@ -54,6 +57,7 @@ class Mesh:
     opacity: float = 1.0
     name: str = ""
     lines: Array = field(default_factory=lambda: np.empty((0, 2), np.uint32))
+    normals: Array | None = None
 
     def __post_init__(self) -> None:
         points, count = np.asarray(self.points), len(self.points)
@@ -135,17 +139,6 @@ def shaded_by_direction(colour: Colour, points: Array) -> Colour:
     return red, green, blue
 
 
-def point_normals(points: Array, triangles: Array) -> Array:
-    """Return normals of length 1, (n, 3): of the facets around each point, by their areas; 0 where there is none."""
-    a, b, c = (points[triangles[:, k]] for k in range(3))
-    across = np.cross(b - a, c - a)
-    total = np.zeros_like(points, np.float64)
-    for k in range(3):
-        np.add.at(total, triangles[:, k], across)
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return np.asarray(np.divide(total, length, out=np.zeros_like(total), where=length > 0))
-
-
 @dataclass(frozen=True, eq=False)
 class Joined:
     """All surfaces as one list of points.
@@ -173,13 +166,17 @@ def joined(surfaces: Surfaces, look: SurfaceLook) -> Joined:
     numbers = [(mesh.triangles + start, mesh.lines + start) for mesh, start in moved]
     return Joined(
         np.concatenate([mesh.points - middle for mesh in surfaces.meshes]).astype(np.float32),
-        np.concatenate([point_normals(mesh.points, mesh.triangles) for mesh in surfaces.meshes]).astype(np.float32),
+        np.concatenate([_normals(mesh) for mesh in surfaces.meshes]).astype(np.float32),
         np.concatenate([np.tile(_tone(mesh, look), (len(mesh.points), 1)) for mesh in surfaces.meshes]).astype(
             np.float32
         ),
         np.concatenate([triangles for triangles, _ in numbers]).astype(np.uint32).reshape(-1, 3),
         np.concatenate([lines for _, lines in numbers]).astype(np.uint32).reshape(-1, 2),
     )
+
+
+def _normals(mesh: Mesh) -> Array:
+    return point_normals(mesh.points, mesh.triangles) if mesh.normals is None else mesh.normals
 
 
 def _tone(mesh: Mesh, look: SurfaceLook) -> Array:

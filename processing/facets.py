@@ -114,7 +114,9 @@ def threshold_surface(
         grey, level, spacing=tuple(spacing), gradient_direction="descent", allow_degenerate=False
     )
     points = points - closed * spacing + (start_um, 0, 0)
-    return _outwards(Facets(points[:, ::-1].astype(np.float64), triangles.astype(np.int64), normals[:, ::-1]))
+    upright = normals / spacing  # the library's are those of cubes
+    upright /= np.maximum(np.linalg.norm(upright, axis=1, keepdims=True), 1e-30)
+    return _outwards(Facets(points[:, ::-1].astype(np.float64), triangles.astype(np.int64), upright[:, ::-1]))
 
 
 def check_some(volume: Array, level: float) -> None:
@@ -160,12 +162,15 @@ def smoothed(facets: Facets, rounds: int = 10) -> Smoothed:
 
 
 def _mean_of_neighbours(facets: Facets) -> Any:
-    edges = np.concatenate([facets.triangles[:, [i, j]] for i, j in ((0, 1), (1, 2), (2, 0), (1, 0), (2, 1), (0, 2))])
+    """Return the matrix that takes points to the means of their neighbours, near ones counting more."""
+    sides = np.concatenate([facets.triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+    edges = np.unique(np.sort(sides, axis=1), axis=0)
+    a, b = edges.T
+    near = 1 / np.maximum(np.linalg.norm(facets.points[a] - facets.points[b], axis=1), 1e-9)
     count = len(facets.points)
-    links = sparse.csr_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
-    links.data[:] = 1  # an edge of two triangles is one edge
-    degree = np.maximum(np.asarray(links.sum(axis=1)).ravel(), 1)
-    return sparse.diags(1 / degree) @ links
+    places = np.concatenate([a, b]), np.concatenate([b, a])
+    links = sparse.csr_matrix((np.tile(near, 2), places), shape=(count, count))
+    return sparse.diags(1 / np.maximum(np.asarray(links.sum(axis=1)).ravel(), 1e-30)) @ links
 
 
 def point_normals(points: Array, triangles: Array) -> Array:

@@ -205,6 +205,7 @@ def measured(
     found = add_up(labels, grey, spacing, rule, told)
     widths, axes = _axes(found.spread(spacing))
     spans = reach(labels, found, axes, spacing)
+    cut = at_border(found.spans, labels.shape)
     table = {
         "feature": found.labels,
         "voxels": found.sums[:, 0].astype(np.int64),

@@ -40,6 +40,8 @@ class GreyVolume:
     source : str
     notes : tuple of str
         What was assumed, in words for the user.
+    reversed : bool
+        The file has its planes from high to low z; here they rise.
     """
 
     values: Array
@@ -47,6 +49,7 @@ class GreyVolume:
     start_um: float = 0.0
     source: str = ""
     notes: tuple[str, ...] = ()
+    reversed: bool = False
 
     @property
     def spacing(self) -> Spacing:
@@ -93,10 +96,11 @@ def read_volume(
     z_um, said = positions(recording, step_um)
     values = _planes(recording, source, quiet=quiet)
     spacing, notes = _spacing(recording, z_um, pixel_um)
-    if z_um is not None and z_um[0] > z_um[-1]:
+    falling = z_um is not None and z_um[0] > z_um[-1]
+    if z_um is not None and falling:
         values, z_um = values[::-1], z_um[::-1]
     start_um = 0.0 if z_um is None or spacing is None else float(z_um[0])
-    return GreyVolume(values, spacing, start_um, str(source), (*recording.notes, *said, *notes))
+    return GreyVolume(values, spacing, start_um, str(source), (*recording.notes, *said, *notes), falling)
 
 
 def _planes(recording: Recording, source: Path, *, quiet: bool) -> Array:

@@ -1,7 +1,7 @@
 """Statistics of regions beside SciPy, scikit-image and ITK: CPU seconds of one run, interleaved, results compared.
 
 ``python benchmarks/peers/bench_measure.py [SIDE [ROUNDS]]``; SimpleITK is in the development environment. Each gives
-for every region voxels, box, centroid, second moments, mean and sum of the grey values; what ours gives besides is said.
+for every region voxels, box, centroid, second moments, mean and sum of the grey values; ours gives more.
 Ends with 1 when ours is less than ten times faster than the best of the others.
 """
 

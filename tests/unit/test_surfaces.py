@@ -15,7 +15,8 @@ from display.load import as_volume
 from display.load_surfaces import load_surfaces, of_labels
 from display.scene import Layer, Light, Scene, View
 from display.stereo import Stereo
-from display.surfaces import Mesh, SurfaceLook, Surfaces, palette, point_normals, shaded_by_direction
+from display.surfaces import Mesh, SurfaceLook, Surfaces, palette, shaded_by_direction
+from processing.facets import point_normals
 
 BARE = Light(ambient=1.0, diffuse=0.0, specular=0.0)  # a surface shows its colour
 PX = 64
