@@ -146,7 +146,8 @@ class HostedRun:
         """Return the recipe and the folder its run would have."""
         recipe = recipe_from_text(asked.recipe, asked.name, asked.overrides)
         out = None if asked.out is None else Path(asked.out)
-        return recipe, run_folder(recipe, self._rig.spec, out, datetime.now(UTC).astimezone())
+        folder = run_folder(recipe, self._rig.spec, out, datetime.now(UTC).astimezone())
+        return recipe, folder.absolute()  # clients live in other folders than this process
 
     def _begin(self, name: str, session: Session) -> Started:
         self._thread = threading.Thread(target=self._execute, args=[session], name="run")  # from here on it is active

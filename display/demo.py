@@ -6,14 +6,16 @@ import json
 import shutil
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import tifffile
+from cyclopts import Parameter
 
 from acquire.bench import simulated_bench
 from acquire.cli import run
 from devices.errors import DisplayError, InputError
+from display.console.app import demonstrate, needs_window
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -42,15 +44,22 @@ keep_free_gb = 0.1
 PICTURES = ("extended_focus.png", "range.png", "anaglyph.png")
 
 
-def demo(*, out: Path | None = None) -> int:
+def demo(*, out: Path | None = None, headless: Annotated[bool, Parameter(negative="")] = False) -> int:
     """Take a focal stack on a simulated bench and show what it measures; needs no files and no hardware.
+
+    Where there is a display the operator's console opens on the bench, with a stack that runs and a short tour.
 
     Parameters
     ----------
     out
         Folder for everything the demo makes; must not exist. Without it ./stereotome-demo, or the next free number.
+        With it no window is opened.
+    headless
+        Open no window: take the stack, and name the pictures it made.
     """
     folder = _free_folder(out)
+    if out is None and not headless and has_window():
+        return demonstrate(folder)
     folder.mkdir(parents=True)
     recipe = folder / "recipe.toml"
     recipe.write_text(RECIPE, encoding="utf-8")
@@ -72,6 +81,15 @@ def demo(*, out: Path | None = None) -> int:
         + "".join(f"{folder / name}\n" for name in (*PICTURES, "report.json"))
     )
     return 0
+
+
+def has_window() -> bool:
+    """Tell whether the console can be opened here."""
+    try:
+        needs_window()
+    except DisplayError:
+        return False
+    return True
 
 
 def range_error(truth_um: NDArray[np.float32], range_um: NDArray[np.float32]) -> dict[str, float]:

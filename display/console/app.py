@@ -17,6 +17,7 @@ from display.console.eyes import Eyes
 from display.console.instrument import found_or_started
 from display.console.journal import Journal
 from display.console.model import TOP_OF_UNKNOWN, Console
+from display.console.tour import Tour
 
 if TYPE_CHECKING:
     from display.console.instrument import Served
@@ -50,7 +51,7 @@ def console(
     scale
         How large everything is, where the system does not tell it right: 2 for 200 %.
     """
-    _needs_window()
+    needs_window()
     sys.stderr.write("starting the instrument's process, or joining it ...\n")
     served = found_or_started(instrument, sim=sim, block=block, server=server)
     goes_on = show(served, scale=scale)
@@ -61,12 +62,22 @@ def console(
     return 0
 
 
-def show(served: Served, *, scale: float | None = None) -> bool:
+def demonstrate(folder: Path) -> int:
+    """Show the console on the simulated bench, with a stack that runs and a short tour; its data goes to ``folder``."""
+    sys.stderr.write("starting the simulated bench and its console ...\n")
+    served = found_or_started(None, sim=True)
+    show(served, tour=Tour(str(folder.absolute())))
+    served.end()
+    return 0
+
+
+def show(served: Served, *, scale: float | None = None, tour: Tour | None = None) -> bool:
     """Show the window until it is closed; return whether a run goes on."""
     from display.console.window import ConsoleWindow  # noqa: PLC0415  nothing else needs a display
 
     with ExitStack() as stack:
         made = opened(served, stack)
+        made.tour = tour
         ConsoleWindow(made, scale=scale).run()
         return made.running
 
@@ -109,7 +120,7 @@ def no_display(why: str) -> DisplayError:
     )
 
 
-def _needs_window() -> None:
+def needs_window() -> None:
     """Say in words what is missing before anything is started."""
     try:
         import imgui_bundle  # noqa: F401, PLC0415

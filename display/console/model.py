@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from display.console.eyes import Eyes, Seen
     from display.console.journal import Journal
     from display.console.settings import Settings
+    from display.console.tour import Tour
 
 PLAN_EVERY_S = 5.0
 LIVE_HZ = 30.0
@@ -65,6 +66,7 @@ class Console:
         self.planned: replies.Planned | StereotomeError | None = None
         self.reviewing = False
         self.shows_keys = False
+        self.tour: Tour | None = None
         self.target_um = 0.0
         self.exposure_ms: float | None = None
         self.depth_um = 0.0
@@ -152,6 +154,8 @@ class Console:
         self._follow()
         self._jog_due()
         self._plan_due()
+        if self.tour is not None:
+            self.tour.tick(self)
 
     def _follow(self) -> None:
         seen = self.eyes.seen

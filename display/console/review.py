@@ -21,7 +21,7 @@ from display.modes import all_modes
 from display.relief import Relief, ReliefLook
 from display.relief_plots import profile
 from display.resolve import fitting_pixel_um
-from display.scene import Band, Layer, Light, Scene, Transfer, Volume
+from display.scene import Band, Layer, Light, Scene, SliceLook, Transfer, Volume
 from processing.heights import read_heights
 from processing.outputs import write_durably
 from processing.pictures import png_bytes
@@ -126,7 +126,7 @@ class Data:
     def _layer(self, wish: Wish) -> Layer:
         match wish.shown.mode:
             case "extended focus":
-                return Layer(_coloured(self._once("focus", self._focus), wish.colours), "slice")
+                return Layer(_coloured(self._once("focus", self._focus), wish.colours), "slice", SliceLook())
             case "range":
                 look = ReliefLook(paint="heights", colours=wish.colours or "viridis")
                 return Layer(self._once("range", lambda: self._relief(draped=False)), "isometric", look)
@@ -265,8 +265,9 @@ class Reviewer:
                     data = Data(wish.folder)
                 try:
                     self.drawn = self._draw(renderer, data, wish)
-                except (StereotomeError, OSError) as error:
-                    self.problem = error.message() if isinstance(error, StereotomeError) else str(error)
+                except Exception as error:  # noqa: BLE001  the next wish must be drawn whatever this one did
+                    words = f"{type(error).__name__}: {error}"
+                    self.problem = error.message() if isinstance(error, StereotomeError) else words
                     self._journal.add("error", "review", self.problem)
 
     def _draw(self, renderer: Any, data: Data, wish: Wish) -> Drawn:

@@ -15,6 +15,7 @@ from display.console.keys import BINDINGS, MOUSE
 from display.console.panels import camera, live, log, review, sections, session, stack, stage
 from display.console.panels import widgets as w
 from display.console.review import Reviewer
+from display.console.tour import STEPS
 from display.gl.canvas import Canvas
 from display.gl.show import window_context
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from display.console.model import Console
+    from display.console.tour import Tour
 
 logger = logging.getLogger(__name__)
 TITLE = "Stereotome"
@@ -55,7 +57,7 @@ class ConsoleWindow:
             "Session": session.draw,
             "Log": log.LogPanel().draw,
         }
-        self.params = self._params(scale, remembers=remembers)
+        self.params = self.make_params(scale, remembers=remembers)
 
     def run(self) -> None:
         """Show it until it is closed.
@@ -76,7 +78,8 @@ class ConsoleWindow:
         """End what draws beside the window."""
         self._reviewer.close()
 
-    def _params(self, scale: float | None, *, remembers: bool) -> hello_imgui.RunnerParams:
+    def make_params(self, scale: float | None, *, remembers: bool) -> hello_imgui.RunnerParams:
+        """Return how the window is to be."""
         params = hello_imgui.RunnerParams()
         params.app_window_params.window_title = TITLE
         params.app_window_params.window_geometry.size = SIZE
@@ -111,9 +114,9 @@ class ConsoleWindow:
     def _callbacks(self, callbacks: hello_imgui.RunnerCallbacks) -> None:
         callbacks.post_init = self._attach
         callbacks.setup_imgui_config = _configure
-        callbacks.show_menus = partial(self._guarded, "menu", self._menu)
-        callbacks.show_status = partial(self._guarded, "status", self._status)
-        callbacks.show_gui = partial(self._guarded, "console", self._every_frame)
+        callbacks.show_menus = partial(self.guarded, "menu", self._menu)
+        callbacks.show_status = partial(self.guarded, "status", self._status)
+        callbacks.show_gui = partial(self.guarded, "console", self._every_frame)
 
     def _docking(self) -> hello_imgui.DockingParams:
         split = hello_imgui.DockingSplit
@@ -140,7 +143,7 @@ class ConsoleWindow:
 
     def _dockable(self, name: str, place: str) -> hello_imgui.DockableWindow:
         return hello_imgui.DockableWindow(
-            name, place, partial(self._guarded, name, lambda _: self._draws[name](self.console)), can_be_closed_=False
+            name, place, partial(self.guarded, name, lambda _: self._draws[name](self.console)), can_be_closed_=False
         )
 
     def _attach(self) -> None:
@@ -150,7 +153,7 @@ class ConsoleWindow:
         self._draws["Review"] = self.review.draw
         self._draws["Live"] = live.LivePanel(self.canvas).draw
 
-    def _guarded(self, name: str, draw: Callable[[Console], None]) -> None:
+    def guarded(self, name: str, draw: Callable[[Console], None]) -> None:
         """Draw a part; what it raises is told once, and the window lives."""
         try:
             draw(self.console)
@@ -171,6 +174,8 @@ class ConsoleWindow:
             self._review(console)
         if console.running and console.run is not None and console.run.question is not None:
             sections.ask(console, console.run.question)
+        if console.tour is not None and console.tour.shown:
+            _tour(console.tour)
         if console.shows_keys:
             _key_list(console)
 
@@ -264,6 +269,21 @@ def _progress(console: Console, run: Any) -> None:
             console.resume()
     elif w.button("Pause##menu", why_not):
         console.pause()
+
+
+def _tour(tour: Tour) -> None:
+    """Draw a step of the demonstration, low in the middle, not in the way of anything."""
+    screen = imgui.get_main_viewport().size
+    imgui.set_next_window_pos(imgui.ImVec2(0.5 * screen.x, 0.7 * screen.y), imgui.Cond_.appearing, imgui.ImVec2(0.5, 0))
+    imgui.set_next_window_size(w.em(30, 0), imgui.Cond_.appearing)
+    _, opened = imgui.begin("Tour", True)  # noqa: FBT003  the library's
+    title, words = STEPS[tour.step]
+    imgui.text_colored(w.BLUE, f"{tour.step + 1}/{len(STEPS)}  {title}")
+    w.words(words)
+    if imgui.button("Next" if tour.step + 1 < len(STEPS) else "Close"):
+        tour.forward()
+    tour.shown = tour.shown and bool(opened)
+    imgui.end()
 
 
 def _key_list(console: Console) -> None:

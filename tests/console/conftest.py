@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image
 from screens import virtual_screen
 from sections import BENCH
 from served import served
@@ -86,6 +87,16 @@ def drive(screen, tmp_path):
             text=True,
             timeout=280,
         )
+        if PICTURES:
+            make_small(folder)
         return child.returncode, child.stdout + child.stderr
 
     return run
+
+
+def make_small(folder):
+    """Leave as many colours in the pictures as they need."""
+    for path in folder.glob("console*.png"):
+        with Image.open(path) as picture:
+            small = picture.convert("RGB").quantize(96)
+        small.save(path, optimize=True)

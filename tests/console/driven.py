@@ -6,6 +6,8 @@ from dataclasses import replace
 
 from hand import KEY, MENU
 
+from display.console.tour import Tour
+
 
 def first_run(hand):
     """Find the focus, set the marks, take a stack; pause, go on, abort; STOP while typing; a panel that fails."""
@@ -35,7 +37,7 @@ def first_run(hand):
     hand.shot("console")
     hand.click("//Stack/Review and start...")
     hand.wait(lambda: console.reviewing)
-    hand.shot("console_review")
+    hand.shot("console_before")
     hand.click("//Review before the start/Start now")
     hand.wait_state("RUNNING")
     hand.click("//Stack/Pause")
@@ -60,6 +62,11 @@ def first_run(hand):
     hand.shot("console_stopped")
     hand.click(MENU, "Release")
     hand.wait(lambda: not console.stopped)
+    console.tour = Tour("", started=True, lively=True)
+    hand.click("//Tour/Next")
+    hand.wait(lambda: console.tour.step == 1)
+    hand.shot("console_tour")
+    console.tour = None
     hand.window._draws["Log"] = lambda _: 1 / 0
     hand.wait(lambda: any("ZeroDivisionError" in line.words for line in console.journal.lines("error")))
     hand.click("//Camera/Stop live")

@@ -3,6 +3,7 @@
 The function is one of `driven`, and is given a `Hand`. The program ends with 0, or with what went wrong.
 """
 
+import os
 import sys
 from contextlib import ExitStack
 from pathlib import Path
@@ -15,7 +16,7 @@ from display.console.app import opened
 from display.console.instrument import Served
 from display.console.window import BUSY_HZ, ConsoleWindow
 
-PATIENCE = 1500  # frames
+PATIENCE = 900  # frames
 WAITING_HZ = 8.0
 LIVE_HZ = 10.0
 KEY = imgui.Key
@@ -83,7 +84,7 @@ def main(function, connection, folder, scale):
     with ExitStack() as stack:
         console = opened(Served(Path(connection)), stack)
         model.LIVE_HZ = LIVE_HZ
-        console.form.folder = str(Path.cwd() / "run-{run}")
+        console.form.folder = f"{os.environ.get('STEREOTOME_RUNS', Path.cwd())}/run-{{run}}"
         window = ConsoleWindow(console, scale=float(scale), remembers=False)
 
         def drive(ctx):

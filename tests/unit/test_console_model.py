@@ -20,6 +20,7 @@ from display.console.keys import BINDINGS
 from display.console.model import Console
 from display.console.moving import Jogger, Marks
 from display.console.stack_form import Advice, SectionsForm, StackForm
+from display.console.tour import STEPS, Tour
 
 
 def histogram(pixels, top=4095):
@@ -239,3 +240,19 @@ def test_the_plan_is_asked_for_once_and_again_when_the_form_changes(console):
     console.form.planes = 9
     console.tick()
     assert [type(request) for request, _ in console.bench.asked] == [requests.PlanRun, requests.PlanRun]
+
+
+def test_the_tour_starts_its_stack_once_it_is_planned_and_ends_after_its_last_step(console):
+    console.tour = Tour("/demo")
+    console.tick()
+    assert not console.tour.started
+    console.planned = replace_planned(planes=49)
+    console.tick()
+    console.tick()
+    started = [request for request, _ in console.bench.asked if isinstance(request, requests.StartRun)]
+    assert len(started) == 1
+    recipe = recipe_from_text(started[0].recipe, "tour")
+    assert (recipe.stack.planes, recipe.output.folder) == (49, "/demo/run-{run:03d}")
+    for _ in STEPS:
+        console.tour.forward()
+    assert not console.tour.shown

@@ -1,0 +1,184 @@
+"""What the console costs: Python per frame and panel, idle CPU, from Esc to the stop on the wire, and what a run pays.
+
+Run under a display: ``python benchmarks/bench_console.py``, or with ``xvfb-run``. Times of panels are CPU times of the
+window's thread; that of a run is from its first plane to its last, without and with the console in turns. Prints a
+table and a line of JSON; ends with 1 when a limit is missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import sys
+import tempfile
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+from imgui_bundle import imgui
+from imgui_bundle.immapp import testing
+
+from acquire import requests
+from acquire.store import open_run
+from display.console.app import opened
+from display.console.instrument import Served
+from display.console.window import ConsoleWindow
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+from served import served
+
+from sim.pytest_plugin import SimBench
+
+RIG = (Path(__file__).parent.parent / "sim" / "default_instrument.toml").read_text()
+RECIPE = (
+    'schema = 1\nname = "b"\n[output]\nkeep_free_gb = 0.001\n[stack]\ntop_um = 10.0\nbottom_um = -10.0\nplanes = {}\n'
+)
+FRAMES, STOPS, PLANES, ROUNDS = 300, 40, 120, 3
+IDLE_FRAMES = 40
+HALT = "\\"
+
+
+def main() -> int:
+    """Measure everything, print it, and say whether the limits are kept."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--stops", type=int, default=STOPS)
+    stops = parser.parse_args().stops
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="st-")))
+        os.environ["XDG_CONFIG_HOME"] = str(folder)
+        rig = folder / "rig.toml"
+        rig.write_text(RIG.replace("speed_um_s  = 2000.0", "speed_um_s  = 400.0"))
+        bench = SimBench([str(rig), "--dir", str(folder / "b")])
+        stack.callback(bench.close)
+        server = stack.enter_context(served(bench.instrument, "--transcript", folder / "wire"))
+        os.environ["XDG_RUNTIME_DIR"] = str(server.runtime)
+        rows = measure(server, folder, stops)
+    print(f"{'what':<66} {'measured':>10}  limit")
+    for name, value, limit in rows:
+        print(f"{name:<66} {value:>10.4g}  {'' if limit is None else f'<= {limit:g}'}{missed(value, limit)}")
+    machine = {"machine": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()}
+    print(json.dumps({"benchmark": "console", **machine, **{name: value for name, value, _ in rows}}))
+    return 1 if any(missed(value, limit) for _, value, limit in rows) else 0
+
+
+def missed(value, limit):
+    return "  MISSED" if limit is not None and value > limit else ""
+
+
+def measure(server, folder, stops):
+    """Return rows of (what, value, limit or None)."""
+    rows = []
+    with server.client() as instrument:
+        instrument.command("bench")
+        alone = [run_once(instrument, folder / f"alone-{k}") for k in range(ROUNDS)]
+        instrument.release()
+    beside = []
+    with ExitStack() as stack:
+        console = opened(Served(server.connection), stack)
+        window = ConsoleWindow(console, remembers=False)
+        stack.callback(window.close)
+        spent = timed_panels(window)
+
+        def drive(ctx):
+            engine = imgui.test_engine.get_io(ctx.engine)
+            engine.config_watchdog_warning = engine.config_watchdog_kill_test = 1e6
+            wait(ctx, lambda: console.bench.commands)
+            console.live()
+            wait(ctx, lambda: console.eyes.seen)
+            spent.clear()
+            ctx.yield_(FRAMES)
+            rows.extend(panel_rows(spent))
+            wire = folder / "wire" / "stage-z.jsonl"
+            late_ms = sorted(stop_once(ctx, console, wire, k) for k in range(stops))
+            rows.append((f"Esc to the stop on the wire, median of {stops}, ms", statistics.median(late_ms), None))
+            rows.append(("the same, 99th percentile, ms", late_ms[int(0.99 * (len(late_ms) - 1))], 100))
+            beside.extend(run_beside(ctx, console, folder / f"beside-{k}") for k in range(ROUNDS))
+            if console.state.live:
+                console.live()
+            wait(ctx, lambda: not console.state.live)
+            pace = window.params.fps_idling
+            pace.fps_max = 4.0  # what it idles at; the test engine keeps a window from idling by itself
+            before = time.process_time(), time.monotonic()
+            ctx.yield_(IDLE_FRAMES)
+            after = time.process_time(), time.monotonic()
+            rows.append(("idle, share of a core, %", 100 * (after[0] - before[0]) / (after[1] - before[1]), 10))
+
+        testing.run(test_function=drive, runner_params=window.params)
+    ratio = statistics.median(beside) / statistics.median(alone)
+    rows.append(("time of a stack beside the console, live view on, over alone", ratio, 1.02))
+    lost = sum(len(open_run(path).missing) for path in folder.glob("beside-*"))
+    rows.append(("planes lost beside the console", lost, 0))
+    return rows
+
+
+def wait(ctx, wanted):
+    while not wanted():
+        ctx.yield_()
+
+
+def run_once(instrument, folder: Path) -> float:
+    """Return the time from the first to the last plane of a stack, in s."""
+    instrument.start_run(RECIPE.format(PLANES), out=folder)
+    instrument.wait_for_run(300.0)
+    return taken_s(folder)
+
+
+def run_beside(ctx, console, folder: Path) -> float:
+    before = 0 if console.run is None else console.run.number
+    wait(ctx, lambda: not console.running)
+    console.bench.ask(requests.StartRun(recipe=RECIPE.format(PLANES), out=str(folder)), "bench")
+    wait(ctx, lambda: console.run is not None and console.run.number > before and not console.running)
+    return taken_s(folder)
+
+
+def taken_s(folder: Path) -> float:
+    arrivals = sorted(each.header.arrival_ns for each in open_run(folder).planes.values())
+    return (arrivals[-1] - arrivals[0]) / 1e9
+
+
+def stop_once(ctx, console, wire: Path, k: int) -> float:
+    """Press Esc while the stage moves; return how long it took until the halt was on its line, in ms."""
+    if console.stopped:
+        console.release_stop()
+        wait(ctx, lambda: not console.stopped)
+    console.go(150.0 if k % 2 else -150.0)
+    ctx.yield_(1)
+    seen = len(wire.read_text().splitlines())
+    pressed_s = time.monotonic()
+    ctx.key_press(imgui.Key.escape)
+
+    def halts_s():
+        lines = [json.loads(line) for line in wire.read_text().splitlines()[seen:]]
+        return [line["t"] for line in lines if line["to"] == "device" and line["bytes"].startswith(HALT)]
+
+    wait(ctx, halts_s)
+    return 1000 * (halts_s()[0] - pressed_s)
+
+
+def timed_panels(window):
+    """Have every panel's CPU time in this thread noted."""
+    spent = {}
+    draw = window.guarded
+
+    def guarded(name, panel):
+        before = time.thread_time()
+        draw(name, panel)
+        spent.setdefault(name, []).append(1000 * (time.thread_time() - before))
+
+    window.guarded = guarded
+    window.params = window.make_params(None, remembers=False)
+    return spent
+
+
+def panel_rows(spent):
+    frames = min(len(times) for times in spent.values())
+    whole = [sum(times[k] for times in spent.values()) for k in range(frames)]
+    rows = [(f"Python in {name}, median, ms", statistics.median(times), None) for name, times in sorted(spent.items())]
+    return [*rows, ("Python in all panels of a frame, median, ms", statistics.median(whole), 2)]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
