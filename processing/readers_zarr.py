@@ -159,7 +159,7 @@ def _lay_out(image: Image, choice: Choice) -> Layout:
 def _reader(image: Image, layout: Layout) -> Callable[[int], Array]:
     """Read through tensorstore: zarr-python takes a chunk of blosc or zstd that was cut for a whole one."""
     driver = "zarr3" if image.array.metadata.zarr_format == 3 else "zarr"
-    spec = {"driver": driver, "kvstore": {"driver": "file", "path": str(image.folder)}}
+    spec = {"driver": driver, "kvstore": {"driver": "file", "path": str(image.folder.resolve())}}
     pixels = tensorstore.open(spec, open=True, read=True).result()
     return lambda k: layout.upright(np.asarray(pixels[layout.index(k)].read().result()))
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import cv2
+import fill_voids
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -39,12 +40,12 @@ NODE_COLUMNS = ("node", "kind", "z_um", "y_um", "x_um", "branches", "radius_um")
         Layer("branches"),
         Layer("nodes"),
         Layer("skeleton"),
-        *(Layer(name, dtype="int64") for name in ("parts", "loops")),
+        *(Layer(name, dtype="int64") for name in ("parts", "loops", "cavities")),
     ],
 )
 def graph(
     volume: Array, spacing_um: Spacing | None = None, *, prune: float = 1.0
-) -> tuple[Array, Table, Table, Picture, np.int64, np.int64]:
+) -> tuple[Array, Table, Table, Picture, np.int64, np.int64, np.int64]:
     """Skeleton of a mask, one voxel thin and joined as the mask is, as a graph of branches between nodes and ends.
 
     Thinned by scikit-image (Lee, Kashyap and Chu 1994). A voxel of the skeleton with more than two of its 26 neighbours
@@ -73,6 +74,9 @@ def graph(
         Seen along z: links white, nodes red, ends yellow.
     parts, loops : int
         Connected parts, and closed loops: branches - nodes + parts.
+    cavities : int
+        Closed cavities of the mask. The shells around them cannot be thinned to lines: each stays a surface and counts
+        as one node, and loops are wrong. Fill them first where there are any: mask.fill_holes.
 
     Raises
     ------
@@ -91,10 +95,19 @@ def graph(
         skeleton[tuple(net.voxels[np.isin(net.path, np.flatnonzero(short))].T)] = False
         skeleton = thinned(skeleton)
         net = Net.of(skeleton, depth, spacing)
+    cavities = components(fill_voids.fill(inside) & ~inside, rule=6)[1]
     kinds = np.zeros(inside.shape, np.uint8)
     kinds[tuple(net.voxels.T)] = net.kinds()
     parts, loops = net.parts_and_loops()
-    return kinds, net.branch_table(), net.node_table(), Picture(drawn(kinds, depth)), np.int64(parts), np.int64(loops)
+    return (
+        kinds,
+        net.branch_table(),
+        net.node_table(),
+        Picture(drawn(kinds, depth)),
+        np.int64(parts),
+        np.int64(loops),
+        cavities,
+    )
 
 
 def thinned(inside: Inside) -> Inside:

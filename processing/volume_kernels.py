@@ -174,15 +174,17 @@ def moment_rows(volume: Array, rows: Array, zero: Array, out: Array) -> None:
     run, squares = np.empty(nx, zero.dtype), np.empty(nx, zero.dtype)
     total, total_squares = np.empty(nx, zero.dtype), np.empty(nx, zero.dtype)
     padded = np.empty(nx + 2 * rows[0, 2], zero.dtype)
+    share = np.float32(1) / np.float32(count) / np.float32(count)
+    reaches = np.unique(rows[:, 2])
     for z in range(nz):
         for y in range(ny):
             total[:], total_squares[:] = 0, 0
-            for reach in range(rows[0, 2], -1, -1):
+            for reach in reaches:
                 sum_runs(volume, z, y, rows, reach, run, squares)
                 spread(run, reach, padded, total)
                 spread(squares, reach, padded, total_squares)
             for x in range(nx):
-                out[z, y, x] = (count * total_squares[x] - total[x] * total[x]) / (count * count)
+                out[z, y, x] = np.float32(count * total_squares[x] - total[x] * total[x]) * share
 
 
 @compiled

@@ -1,7 +1,8 @@
 """Operators on volumes beside SciPy, scikit-image and ITK in one run: CPU seconds, and whether the results agree.
 
-``python benchmarks/peers/bench_volumes.py [side]``, 256 when left out. Each function is called once before, then ours
-and the peers' twice each in turn; the smaller time counts. Ends with 1 when a limit is missed.
+``python benchmarks/peers/bench_volumes.py [side [word]]``, 256 when left out; a word chooses among the rows. Each
+function is called once before, then ours and the peers' twice each in turn; the smaller time counts. Ends with 1 when a
+limit is missed.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     Call = Callable[[], Any]
 
 SIDE = int(sys.argv[1]) if len(sys.argv) > 1 else 256
+WORD = sys.argv[2] if len(sys.argv) > 2 else ""
 SEED = 2026
 ROUNDS = 2
 CUBE = np.ones((3, 3, 3), bool)
@@ -139,7 +141,7 @@ def main() -> int:
     print(f"{SIDE}³, CPU seconds\n")
     print("| | ours | SciPy | scikit-image | ITK | best of them / ours | wanted | equal to the first |")
     print("|---" * 8 + "|")
-    for row in rows():
+    for row in (row for row in rows() if WORD in row.name):
         calls = {"ours": row.ours, **row.peers}
         results = {name: call() for name, call in calls.items()}
         seconds = {name: min(cpu_seconds(call)[0] for _ in range(ROUNDS)) for name, call in calls.items()}

@@ -90,6 +90,16 @@ def test_distances_equal_scipys_at_any_spacing(spacing_um: tuple[float, float, f
     np.testing.assert_array_equal(-np.minimum(signed, 0), distance(mask, spacing_um, outside=True))
 
 
+def test_distances_of_thick_and_of_endless_masks_equal_scipys() -> None:
+    thick = np.ones((3, 70, 300), bool)  # rows without an end, and more voxels than are lowered together
+    thick[1, 40, 20] = thick[2, 3, 290] = False
+    thin = thick.copy()
+    thin[:, :, ::17] = False
+    for mask in (thick, thin):
+        expected = ndimage.distance_transform_edt(mask, sampling=(2.0, 1.0, 0.5))
+        np.testing.assert_allclose(distance(mask, (2.0, 1.0, 0.5)), expected, rtol=2e-7)
+
+
 def test_holes_are_filled_and_bays_stay_open() -> None:
     shell = ball(6, 15) & ~ball(3, 15)
     np.testing.assert_array_equal(fill_holes(shell) > 0, ball(6, 15))

@@ -35,7 +35,7 @@ def ring(shape: tuple[int, int, int], radius: float, thick: float) -> np.ndarray
 
 
 def counts(mask: np.ndarray, **how: float) -> dict[str, int]:
-    kinds, branches, nodes, _, parts, loops = graph(mask, **how)
+    kinds, branches, nodes, _, parts, loops, _ = graph(mask, **how)
     told = {kind: nodes.column("kind").count(kind) for kind in ("node", "end", "point", "ring")}
     assert set(np.unique(kinds)) <= {0, LINK, NODE, END}
     assert not (kinds[~mask] > 0).any()
@@ -66,7 +66,7 @@ def test_the_graph_of_a_known_shape(mask: np.ndarray, expected: dict[str, int]) 
 
 
 def test_branches_of_a_tree_have_their_lengths_and_thickness() -> None:
-    _, branches, nodes, _, _, _ = graph(TREE, (2.0, 0.5, 0.5))
+    _, branches, nodes, *_ = graph(TREE, (2.0, 0.5, 0.5))
     arms = [16 * 0.5, np.hypot(14, 14) * 0.5, np.hypot(14, 14) * 0.5]
     assert sorted(branches.column("length_um")) == pytest.approx(sorted(arms), abs=1.8)  # ends are thinned away
     middle = next(row for row in nodes.rows if row[1] == "node")
@@ -75,7 +75,7 @@ def test_branches_of_a_tree_have_their_lengths_and_thickness() -> None:
 
 
 def test_a_ring_is_as_long_as_its_circle() -> None:
-    _, branches, _, _, _, _ = graph(ring(SHAPE, 12, 3))
+    _, branches, *_ = graph(ring(SHAPE, 12, 3))
     assert branches.column("length_um")[0] == pytest.approx(2 * np.pi * 12, rel=0.1)
 
 
@@ -93,6 +93,13 @@ def test_parts_and_loops_are_those_of_the_mask(seed: int) -> None:
     parts = ndimage.label(mask, np.ones((3, 3, 3)))[1]
     assert found["parts"] == parts
     assert found["parts"] - found["loops"] == euler_number(mask, connectivity=3)
+
+
+def test_cavities_are_told_since_their_shells_stay_surfaces() -> None:
+    shell = np.pad(np.ones((9, 9, 9), bool), 2)
+    assert graph(shell)[-1] == 0
+    shell[5:8, 5:8, 5:8] = False
+    assert graph(shell)[-1] == 1
 
 
 def test_points_planes_and_what_cannot_be_thinned() -> None:
