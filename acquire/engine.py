@@ -15,6 +15,7 @@ from acquire.plan import Plane
 from acquire.ports import CAREFUL, FrameOut, Policy, SectionOut
 from acquire.recorder import DiskLow
 from acquire.removal import Removal
+from acquire.revival import revived
 from acquire.run_plan import Kind, RunPlan, Step, run_plan
 from acquire.sequence import TriggeredStack
 from acquire.series import Series
@@ -25,6 +26,7 @@ from acquire.store import RunEnd
 from acquire.taker import CAMERA_STOP_S, Mover, Place, PlaneTaker
 from acquire.verdict import no_inspection
 from devices.errors import (
+    CameraGone,
     CameraTimeout,
     DeviceError,
     Halted,
@@ -82,6 +84,8 @@ class Run:
         Sections an earlier part of the run completed.
     focus : Focus
         Where an earlier part of the run left the focus.
+    reopen_camera : callable, optional
+        Opens a camera anew that went away.
     """
 
     def __init__(
@@ -100,6 +104,7 @@ class Run:
         inspect: Inspect = no_inspection,
         focus: Focus = UNFOCUSED,
         switch_band: Callable[[int], None] = lambda _: None,
+        reopen_camera: Callable[[], Camera] | None = None,
         utc_ns: Callable[[], int] = lambda: 0,
         tell: Callable[[dict[str, Any]], None] = lambda _: None,
     ) -> None:
@@ -113,6 +118,7 @@ class Run:
         self._utc_ns = utc_ns
         self._tell = tell
         self._switch_band = switch_band
+        self._reopen_camera = reopen_camera
         self._board = Board()
         self._control = Control(
             self._board, clock, note=self._note, tell=self._say, attended=policy.attended, answers=policy.answers
@@ -396,9 +402,9 @@ class Run:
         while True:
             try:
                 self._take(step)
-            except (CameraTimeout, Halted, StageStalled) as error:
+            except (CameraGone, CameraTimeout, Halted, StageStalled) as error:
                 self._control.checkpoint()  # a halted move ends as a stall: that was the operator, not a fault
-                if self._policy.gap_on_error:
+                if self._policy.gap_on_error and not isinstance(error, CameraGone):
                     self._miss(step, error)
                 elif not self._policy.asks:
                     raise
@@ -422,7 +428,22 @@ class Run:
 
     def _take(self, step: Step) -> None:
         place = Place(step.section, step.band, self._plane(step.plane), self._plan.exposure_ms(step.band))
-        self._record(step.section, step.band, step.plane, self._taker.take(place))
+        try:
+            z_um = self._taker.take(place)
+        except CameraGone as gone:
+            self._revive_camera(gone)
+            z_um = self._taker.take(place)
+        self._record(step.section, step.band, step.plane, z_um)
+
+    def _revive_camera(self, gone: CameraGone) -> None:
+        if self._reopen_camera is None:
+            raise gone
+        self._camera = revived(self._reopen_camera, gone, self._clock, self._control, self._tell)
+        self._camera.configure(exposure_ms=self._plan.exposure_ms(self._band or 0))
+        if self._band is not None:
+            self._switch_band(self._band)
+        self._taker.use(self._camera)
+        self._taker.arm()
 
     def _record(self, section: int, band: int, plane: int, z_um: float) -> None:
         self._recorded.add(self._plan.slot(section, band, plane))

@@ -58,7 +58,7 @@ class Host:
         self._run_comes = False
         self._live_before = False
         self._hands = Hands(rig)
-        self.live = LiveView(rig.camera, clock, rig.spec.camera.exposure_ms, lambda: self._z_um)
+        self.live = LiveView(lambda: rig.camera, clock, rig.spec.camera.exposure_ms, lambda: self._z_um)
         self.run = HostedRun(rig, clock, self._run_told, self._run_over)
         self._lanes = {name: Lane(name, clock) for name in ("motion", "camera", "run")}
         self._over = threading.Event()

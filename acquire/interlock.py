@@ -217,7 +217,7 @@ def guarded(rig: Rig, clock: Clock) -> Rig:
     park_um = rig.spec.stage.z.park_um
     arbiter = Arbiter(rig.stage, rig.feed, None if park_um is None else to_nm(park_um), clock)
     feed = None if rig.feed is None else GuardedFeed(rig.feed, arbiter)
-    return Rig(rig.spec, GuardedStage(rig.stage, arbiter), rig.camera, feed, rig.glasses)
+    return Rig(rig.spec, GuardedStage(rig.stage, arbiter), rig.camera, feed, rig.glasses, open_camera=rig.reopen_camera)
 
 
 def lease_of(stage: Stage) -> MotionLease:

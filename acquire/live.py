@@ -36,21 +36,29 @@ class LiveView:
 
     Parameters
     ----------
+    camera : callable
+        Returns the camera: a run may have opened it anew.
     z_um : callable
         Where the stage was read last; NaN before.
     """
 
-    def __init__(self, camera: Camera, clock: Clock, exposure_ms: float, z_um: Callable[[], float]) -> None:
+    def __init__(
+        self, camera: Callable[[], Camera], clock: Clock, exposure_ms: float, z_um: Callable[[], float]
+    ) -> None:
         self.exposure_ms = exposure_ms
         self.frames_per_s = 30.0
-        self._camera = camera
+        self._current = camera
         self._clock = clock
         self._z_um = z_um
         self._ring: RingWriter | None = None
         self._arrived = threading.Event()
         self._over = threading.Event()
         self._thread: threading.Thread | None = None
-        self.caps = camera.caps()
+        self.caps = camera().caps()
+
+    @property
+    def _camera(self) -> Camera:
+        return self._current()
 
     @property
     def running(self) -> bool:

@@ -228,6 +228,7 @@ class Session:
             inspect=options.inspect or quality_of(recipe, caps),
             focus=Focus() if stored is None else focus_of(stored.records),
             switch_band=_band_switch(plan, rig),
+            reopen_camera=rig.reopen_camera,
             utc_ns=time.time_ns,
             tell=tell,
         )

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from acquire.frame import FrameHeader
 from acquire.gate import FrameGate
 from acquire.state import Phase
-from devices.errors import CameraTimeout, StageStalled
+from devices.errors import CameraGone, CameraTimeout, LinkLost, StageStalled
 from devices.values import to_nm, to_um
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from acquire.control import Control
     from acquire.gate import TakesFrames
@@ -35,6 +36,15 @@ class Place:
     band: int
     plane: Plane
     exposure_ms: float
+
+
+@contextmanager
+def camera_there() -> Iterator[None]:
+    """Turn a lost connection to the camera into `CameraGone`: to take a picture again harms nothing."""
+    try:
+        yield
+    except LinkLost as lost:
+        raise CameraGone(lost.what, why=lost.why, fix=lost.fix) from lost
 
 
 class Mover:
@@ -112,6 +122,10 @@ class PlaneTaker:
         self._camera.stop(CAMERA_STOP_S)
         self.arm()
 
+    def use(self, camera: Camera) -> None:
+        """Take planes with this camera from now on; to be armed next."""
+        self._camera = camera
+
     def forget_approach(self) -> None:
         """Take the next plane with its whole approach: the stage was elsewhere meanwhile."""
         self._before = None
@@ -123,6 +137,8 @@ class PlaneTaker:
         ------
         CameraTimeout
             No frame after all tries.
+        CameraGone
+            Its connection is lost.
         StageStalled
             The stage does not get there.
         """
@@ -132,7 +148,8 @@ class PlaneTaker:
             if self._expose(place, z_um, attempt):
                 return z_um
             self._control.checkpoint()
-            self.rearm()
+            with camera_there():
+                self.rearm()
         wait_s = self._frame_timeout_s(place.exposure_ms)
         raise CameraTimeout(
             f"camera: no frame for plane {place.plane.index} after {CAMERA_TRIES} tries of {wait_s:.1f} s.",
@@ -177,7 +194,8 @@ class PlaneTaker:
         )
         self._gate.expect(header, round(self._clock.now() * 1e9))
         try:
-            self._camera.trigger()
+            with camera_there():
+                self._camera.trigger()
             return self._wait_for_frame(place.exposure_ms)
         except CameraTimeout:
             return False

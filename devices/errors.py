@@ -152,6 +152,12 @@ class CameraTimeout(DeviceError):
     code = "camera-timeout"
 
 
+class CameraGone(DeviceError):
+    """The camera's connection is lost, and it cannot be opened anew."""
+
+    code = "camera-gone"
+
+
 class IncompleteFrame(CameraTimeout):
     """A frame came with holes: as good as none, and as safe to take again."""
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
 from devices.bands import Bands  # noqa: TC001  pydantic reads the annotations
-from devices.errors import RigError
+from devices.errors import DeviceError, LinkLost, RigError, StereotomeError
 from devices.feed_spec import FeedSpec  # noqa: TC001
 from devices.glasses_spec import GlassesSpec  # noqa: TC001
 from devices.registry import DeviceContext, factory, unknown_driver
@@ -16,7 +17,7 @@ from devices.toml_model import Table, load_model
 from devices.values import Limits
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from devices.protocols import Camera, Clock, Eyewear, Feed, Stage
@@ -244,16 +245,53 @@ class Rig:
         Of the microtome, if the file names one.
     glasses : Eyewear or None
         Shutter glasses, if the file names any.
+
+    Parameters
+    ----------
+    open_camera : callable, optional
+        Opens the camera anew; what cannot do it is the camera it was for ever.
     """
 
     def __init__(
-        self, spec: RigSpec, stage: Stage, camera: Camera, feed: Feed | None = None, glasses: Eyewear | None = None
+        self,
+        spec: RigSpec,
+        stage: Stage,
+        camera: Camera,
+        feed: Feed | None = None,
+        glasses: Eyewear | None = None,
+        *,
+        open_camera: Callable[[], Camera] | None = None,
     ) -> None:
         self.spec = spec
         self.stage = stage
         self.camera = camera
         self.feed = feed
         self.glasses = glasses
+        self._open_camera = open_camera
+
+    def reopen_camera(self) -> Camera:
+        """Open the camera anew, after its connection was lost, and return it.
+
+        Raises
+        ------
+        DeviceError
+            It does not answer, or another kind of camera does (device-other). The one before stays the rig's.
+        """
+        if self._open_camera is None:
+            return self.camera
+        before = self.camera
+        with suppress(StereotomeError):  # nobody may be there to be told
+            before.close()
+        camera: Camera = self._open_camera()
+        if camera.caps().shape != before.caps().shape or camera.caps().dtype != before.caps().dtype:
+            camera.close()
+            raise DeviceError(
+                "camera: another one answers than before.",
+                fix="connect the one the run began with",
+                code="device-other",
+            )
+        self.camera = camera
+        return camera
 
 
 @contextmanager
@@ -282,8 +320,16 @@ def open_rig(spec: RigSpec, *, clock: Clock, transcript: Path | None = None) -> 
         feed: Feed | None = _opened("feed", spec.microtome, context, open_devices)
         glasses: Eyewear | None = _opened("glasses", spec.glasses, context, open_devices)
         seeing = DeviceContext(clock, transcript, stage.position_um)
-        camera: Camera = _opened("camera", spec.camera, seeing, open_devices)
-        yield Rig(spec, stage, camera, feed, glasses)
+        open_camera = partial(factory(spec.camera.driver, "camera"), spec.camera, seeing)
+        rig = Rig(spec, stage, open_camera(), feed, glasses, open_camera=open_camera)
+        open_devices.callback(_close_camera, rig)
+        yield rig
+
+
+def _close_camera(rig: Rig) -> None:
+    """Close the camera there is by then; one that went away cannot be asked to."""
+    with suppress(LinkLost):
+        rig.camera.close()
 
 
 def _opened(

@@ -8,7 +8,7 @@ import pytest
 from acquire.engine import Policy, Run, RunState
 from acquire.plan import StackPlan
 from acquire.store import RunEnd
-from devices.errors import CameraTimeout, LimitError, LinkLost, StageStalled, StoreError
+from devices.errors import CameraTimeout, DeviceError, LimitError, LinkLost, StageStalled, StoreError
 from devices.values import CameraCaps, FrameStamp, Limits
 
 PLAN = StackPlan(start_nm=-4000, step_nm=2000, count=5, exposure_ms=10.0, overshoot_nm=500, return_nm=0)
@@ -349,3 +349,37 @@ def test_status_is_read_from_another_thread_while_the_run_goes_on():
     bench.camera.script = {4: look}
     bench.run.execute()
     assert (seen[0].state, seen[0].plane, seen[0].taken, seen[0].planned) == (RunState.RUNNING, 3, 3, 5)
+
+
+def gone():
+    raise LinkLost("camera: the connection broke.")
+
+
+def test_a_camera_that_went_away_is_opened_anew_and_no_plane_is_lost():
+    opened = []
+
+    def reopen():
+        if len(opened) < 2:
+            opened.append(None)
+            raise DeviceError("camera: nothing answers.", code="device-missing")
+        opened.append(ScriptedCamera(bench.clock, bench.stage))
+        return opened[-1]
+
+    bench = Bench(reopen_camera=reopen)
+    bench.camera.script[3] = gone
+    begin_s = bench.clock.t
+    assert bench.run.execute() is RunState.COMPLETED
+    assert bench.planes == [0, 1, 2, 3, 4]
+    assert bench.camera.triggers == 3
+    assert opened[-1].triggers == 3
+    assert bench.clock.t - begin_s > 1 + 2 + 5
+    assert [event["code"] for event in bench.told if event["event"] == "warn"] == ["camera-gone"] * 3
+
+
+def test_a_camera_that_stays_away_ends_a_focal_stack_by_name():
+    bench = Bench(reopen_camera=gone)
+    bench.camera.script[3] = gone
+    assert bench.run.execute() is RunState.FAILED
+    assert bench.run.error.code == "camera-gone"
+    assert bench.planes == [0, 1]
+    assert bench.out.end[0] is RunEnd.FAILED

@@ -8,7 +8,7 @@ from acquire.engine import RunState
 from acquire.state import Scope
 from acquire.store import RunEnd, open_run
 from acquire.verdict import GOOD, Finding, Verdict
-from devices.errors import InputError, Unsafe
+from devices.errors import InputError, LinkLost, Unsafe
 
 
 @pytest.fixture
@@ -184,6 +184,21 @@ def test_a_plane_that_cannot_be_taken_may_be_left_out_and_is_named(bench):
     assert (run.state, run.missing, run.missed) == (RunEnd.COMPLETED_WITH_GAPS, [2], {2: "camera-timeout"})
     assert next(r for r in run.records if r["e"] == "commit" and r["section"] == 1)["waived"] == [2]
     assert bench.knife.cuts_executed == 3
+
+
+def test_a_camera_that_stays_away_is_asked_about_and_nothing_is_cut_meanwhile(bench):
+    away = [True]
+
+    def lose(what, given):
+        if what == "expose" and bench.knife.cuts_executed == 2 and away[0]:
+            raise LinkLost("camera: the connection broke.")
+
+    bench.near.on_wire = lose
+    bench.on["hold"] = lambda _: away.clear() or away.append(False)
+    bench.answers = ["again"]
+    assert bench.run().state is RunState.COMPLETED
+    assert [question.code for question in bench.asked] == ["camera-gone"]
+    complete(bench)
 
 
 def test_a_pause_before_the_cut_is_heeded_there_and_nowhere_else(bench):

@@ -43,3 +43,21 @@ def test_the_dry_run_lists_every_step_and_what_it_costs(tmp_path):
     assert len(lines) == 3 * len(steps)
     assert all(step in line for step, line in zip(steps * 3, lines, strict=True))
     assert "3 sections of 500 nm (3 removals)" in result.err
+
+
+def test_a_camera_that_goes_away_and_comes_back_costs_a_run_nothing(start_bench, tmp_path):
+    instrument, recipe = files(tmp_path)
+    bench, warned = start_bench(instrument), []
+
+    def tell(event):
+        if event["event"] == "plane" and (event["section"], event["plane"]) == (1, 0):
+            bench.ask(do="fault", set="camera.die")
+        if event["event"] == "warn":
+            warned.append(event["code"])
+            bench.ask(do="fault", clear="camera.die")
+
+    _, outcome = run_sections(bench, recipe, tmp_path / "run", tell=tell)
+    assert outcome.state is RunState.COMPLETED, outcome.error
+    assert warned == ["camera-gone"]
+    assert open_run(tmp_path / "run").missing == []
+    assert cuts(bench) == 3
