@@ -14,12 +14,13 @@ from acquire.ome_zarr import FocalArray
 from acquire.progress import progress
 from devices.clock import SystemClock
 from devices.errors import InputError
-from processing import measure_report
+from processing import circles, measure_report
 from processing.grey_volume import GreyVolume, read_volume
 from processing.measuring import Measurement, Question, measure_volume
 from processing.outputs import peak_memory_mb, versions, write_durably
+from processing.picked import Picked, read_picked
 from processing.pipeline import Pipeline, Step
-from processing.result_folder import check_results, json_bytes
+from processing.result_folder import check_results, csv_bytes, json_bytes
 from processing.volume_files import publish, volume_names, write_volume
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 Switch = Parameter(negative="")
 SIXTEEN_BIT = 65535
 PAGE = "report.html"
+PICKED_FILES = ("picked.csv", "profiles.csv")
 
 
 @Parameter(name="*")
@@ -59,6 +61,8 @@ def measure(
     smallest: int = 1,
     labels: Annotated[bool, Switch] = False,
     grey: Path | None = None,
+    balls: Annotated[bool, Switch] = False,
+    points: Path | None = None,
     scale: Scale = Scale(),
     overwrite: Annotated[bool, Switch] = False,
     json: Annotated[bool, Switch] = False,
@@ -88,6 +92,10 @@ def measure(
         The data are numbers of features, 0 for none.
     grey
         Grey values whose densities are measured, where the data are others.
+    balls
+        Find the sizes of balls from the circles of the planes, beside those measured directly.
+    points
+        Table (CSV) of picked points, name,z,y,x in voxels: lengths and angles along those of one name, and profiles.
     overwrite
         Replace results that are in the folder.
     json
@@ -96,14 +104,19 @@ def measure(
         Show no progress and no notes.
     """
     question = Question(threshold, dark, neighbours, fill, smallest, labels)
-    check_results(output, [*files_of(question), "report.json", PAGE], overwrite=overwrite)
+    files = [*files_of(question), *(circles.FILES if balls else ()), *(PICKED_FILES if points else ())]
+    check_results(output, [*files, "report.json", PAGE], overwrite=overwrite)
     begin = SystemClock().now()
     stored = read_volume(data, **asdict(scale), quiet=quiet)
     seen = stored.values if grey is None else _beside(read_volume(grey, **asdict(scale), quiet=quiet), stored)
+    lines = read_picked(points, stored.values.shape) if points else []
     volume = _prepared(stored, first)
     with progress("measuring", 2 * len(volume.values), quiet=quiet) as tell:
         beside = None if labels and grey is None else seen
         found = measure_volume(volume, question, seen=beside, told=tell)
+    more = picked_files(lines, seen, stored) if lines else {}
+    if balls:
+        more |= circles.files(circles.ball_sizes(found.labels, stored.spacing), stored.unit)
     said = (*stored.notes, *found.notes)
     report = {
         "format": "stereotome-measure",
@@ -121,9 +134,9 @@ def measure(
         "seconds": round(SystemClock().now() - begin, 3),
         "peak_memory_mb": round(peak_memory_mb(), 1),
         "versions": versions(),
-        "files": [*files_of(question), "report.json", PAGE],
+        "files": [*files, "report.json", PAGE],
     }
-    publish(output, lambda part: write_all(part, found, volume, seen, report))
+    publish(output, lambda part: write_all(part, found, volume, seen, report, more))
     for note in () if quiet else said:
         sys.stderr.write(f"note: {note}\n")
     sys.stdout.write(json_bytes(report).decode() if json else summary(found, report, output))
@@ -171,7 +184,29 @@ def about(volume: GreyVolume) -> dict[str, Any]:
     }
 
 
-def write_all(part: Path, found: Measurement, volume: GreyVolume, seen: Array, report: dict[str, Any]) -> None:
+def picked_files(lines: list[Picked], grey: Array, volume: GreyVolume) -> dict[str, bytes]:
+    """Encode lengths and angles, and the profiles along the lines."""
+    unit = "um" if volume.spacing_um else "voxels"
+    measured, profiles = [], []
+    for line in lines:
+        angles = ";".join(f"{angle:.4g}" for angle in line.angles_deg(volume.spacing))
+        measured.append([line.name, len(line.points), line.length_um(volume.spacing), angles])
+        at, values = line.profile(grey, volume.spacing)
+        profiles += [[line.name, float(a), float(v)] for a, v in zip(at, values, strict=True)]
+    return {
+        "picked.csv": csv_bytes(["name", "points", f"length_{unit}", "angles_deg"], measured),
+        "profiles.csv": csv_bytes(["name", f"at_{unit}", "value"], profiles),
+    }
+
+
+def write_all(
+    part: Path,
+    found: Measurement,
+    volume: GreyVolume,
+    seen: Array,
+    report: dict[str, Any],
+    more: dict[str, bytes],
+) -> None:
     """Write labels, tables, pictures, the page and the report."""
     few = int(found.labels.max()) <= SIXTEEN_BIT
     labels = found.labels.astype(np.uint16 if few else np.uint32, copy=False)
@@ -179,9 +214,9 @@ def write_all(part: Path, found: Measurement, volume: GreyVolume, seen: Array, r
     layout = FocalArray(len(labels), labels.shape[1:], str(labels.dtype), volume.start_um, volume.spacing[0], pixel_um)
     write_volume(part, "labels", "labels", layout, iter(labels))
     shown = measure_report.pictures(found, volume, seen)
-    for name, content in (measure_report.tables(found) | shown).items():
+    for name, content in (measure_report.tables(found) | shown | more).items():
         write_durably(part / name, content)
-    write_durably(part / PAGE, measure_report.page(found, report, shown))
+    write_durably(part / PAGE, measure_report.page(found, report, shown | more))
     write_durably(part / "report.json", json_bytes(report))
 
 

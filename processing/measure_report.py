@@ -34,6 +34,7 @@ CAPTIONS = {
     "grey_values.png": "Grey values of all voxels; the line is the threshold.",
     "sizes.png": "Sizes of the features.",
     "size_and_shape.png": "Shape over size; 1 is a ball.",
+    "ball_sizes.png": "Sizes of balls from the circles of the planes, with standard errors; the line is their mean.",
 }
 WORDS = {"per_um3": "1/µm³", "per_um": "1/µm", "um3": "µm³", "um2": "µm²", "um": "µm"}
 VOXEL_WORDS = {
