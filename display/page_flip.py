@@ -61,6 +61,11 @@ class PageFlip:
             self._mailbox.remove()
             raise
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of a view in pixels."""
+        return self._mailbox.size
+
     def show(self, left: Picture, right: Picture) -> None:
         """Make a pair the one that is seen from the next turns on; (height, width, 3) uint8. Never waits."""
         self._mailbox.publish(left, right)

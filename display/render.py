@@ -206,15 +206,21 @@ def write(renderer: Renderer, scene: Scene, size: Size, output: Path, moving: Mo
 
 def picture(renderer: Renderer, scene: Scene, size: Size, *, plain: bool = False) -> Picture:
     """Draw a scene with all that has to be said on it, in its stereo; returns sRGB levels, (height, width, 3) uint8."""
+    lights = views(renderer, scene, size, plain=plain)
+    if len(lights) == 1:
+        return encoded(lights[0])
+    return encoded(compose(lights[0], lights[1], scene.stereo.mode, swap=scene.stereo.swap))
+
+
+def views(renderer: Renderer, scene: Scene, size: Size, *, plain: bool = False) -> list[NDArray[np.float32]]:
+    """Draw each eye's view of a scene with all that has to be said on it; returns linear light, (height, width, 3)."""
     lights = [renderer.draw(scene, size, eye) for eye in scene.stereo.eyes]
     if not plain:
         data = scene.layers[0].data
         sheet = overlay(renderer.legend(scene, size), camera(scene, size), unit=data.unit, depth=data.depth)
         lights = [over(light, sheet) for light in lights]
     renderer.end_frame()
-    if len(lights) == 1:
-        return encoded(lights[0])
-    return encoded(compose(lights[0], lights[1], scene.stereo.mode, swap=scene.stereo.swap))
+    return lights
 
 
 def volume_of(data: Path, reading: Reading, colours: Any) -> Volume:

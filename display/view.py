@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,15 +16,19 @@ from acquire.store import StoredRun, is_run, open_run
 from devices.clock import SystemClock
 from display import controls
 from display.controls import Shown
+from display.flip_process import FlipOptions
 from display.gl.renderer import Renderer
 from display.gl.show import show, window_context
+from display.light import encoded
 from display.live_stack import LiveStack, range_band
 from display.load import limits_of, load_volume
 from display.modes import all_modes, find_mode
-from display.render import parse_size, picture
+from display.page_flip import PageFlip
+from display.render import parse_size, picture, views
 from display.resolve import fitting_pixel_um
 from display.scene import Band, Layer, Scene, Volume
 from display.stereo import Mode, Stereo
+from display.sync_codes import Code  # noqa: TC001  the command line is made from the annotations
 from display.window import Window
 from processing.outputs import write_durably
 from processing.pictures import png_bytes
@@ -44,6 +49,21 @@ LATE_AT_ONCE = 16  # planes
 CONNECTION = ".json"  # the file a served instrument writes
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Flipping:
+    """For --stereo page-flip."""
+
+    glasses: Path | None = None
+    "Instrument file whose shutter glasses are told of each flip; left out for glasses that watch a code."
+    code: Code = "none"
+    "Marks that are drawn for glasses which watch the picture."
+    flip_window: Annotated[bool, Parameter(negative="")] = False
+    "Flip in a window instead of on the whole display."
+    clock_hz: float | None = None
+    "No second window: a clock of this rate in the display's place."
+
+
 def view(
     source: str,
     *,
@@ -53,6 +73,7 @@ def view(
     pixel_um: float | None = None,
     step_um: float | None = None,
     screenshot: Path | None = None,
+    flipping: Flipping = Flipping(),
     until: Annotated[float | None, Parameter(help="Close after so many seconds.")] = None,
 ) -> int:
     """Open a window on a stack, a volume, or an instrument at work.
@@ -85,19 +106,36 @@ def view(
     planes = 1 if volume is None else volume.shape[0]
     modes = ("live", *names) if feed is not None else names
     shown = Shown(modes, planes, mode=first, stereo=Stereo(stereo), plane=float(planes // 2))
-    window = Window(f"Stereotome: {source}", (width, height))
-    try:
-        sys.stderr.write(controls.HELP)
-        viewer = Viewer(window, Renderer(window_context()), clock, volume, feed, pixel_um)
-        last = viewer.run(shown, until_s=None if until is None else clock.now() + until)
-    finally:
-        window.close()
+    with ExitStack() as open_:
         if feed is not None:
-            feed.close()
+            open_.callback(feed.close)
+        window = Window(f"Stereotome: {source}", (width, height))
+        open_.callback(window.close)
+        flip = _flip((width, height), flipping, open_) if stereo == "page-flip" else None
+        sys.stderr.write(controls.HELP)
+        viewer = Viewer(window, Renderer(window_context()), clock, volume, feed, pixel_um, flip)
+        last = viewer.run(shown, until_s=None if until is None else clock.now() + until)
     if screenshot is not None and last is not None:
         write_durably(screenshot, png_bytes(last))
         sys.stdout.write(f"{screenshot}\n")
     return 0
+
+
+def _flip(size: tuple[int, int], flipping: Flipping, open_: ExitStack) -> PageFlip:
+    """Start the process that flips views before shutter glasses; in the end it says how that went."""
+    instrument = None if flipping.glasses is None else str(flipping.glasses)
+    options = FlipOptions(
+        "", flipping.code, windowed=flipping.flip_window, instrument=instrument, clock_hz=flipping.clock_hz
+    )
+    flip = PageFlip(size, options)
+
+    def end() -> None:
+        report = flip.close()
+        sys.stderr.writelines(f"{line}\n" for line in flip.said)
+        sys.stdout.write("" if report is None else f"{report.words()}\n")
+
+    open_.callback(end)
+    return flip
 
 
 def _feed(source: str) -> Any:
@@ -143,6 +181,7 @@ class Viewer:
         volume: Volume | None,
         feed: Any,
         pixel_um: float | None,
+        flip: PageFlip | None = None,
     ) -> None:
         self._window = window
         self._renderer = renderer
@@ -150,6 +189,7 @@ class Viewer:
         self._volume = volume
         self._feed = feed
         self._pixel_um = pixel_um
+        self._flip = flip
         self._stack = LiveStack()
 
     def run(self, shown: Shown, *, until_s: float | None = None) -> Picture | None:
@@ -157,7 +197,7 @@ class Viewer:
         last: Picture | None = None
         drawn: tuple[object, ...] = ()
         touched_s, before_s = -1.0, self._clock.now()
-        while not (self._window.closed or shown.quit or (until_s is not None and self._clock.now() >= until_s)):
+        while not (self._ended or shown.quit or (until_s is not None and self._clock.now() >= until_s)):
             happened = self._window.wait(0.0 if shown.playing else LIVE_S if self._feed is not None else IDLE_S)
             now_s = self._clock.now()
             shown = controls.tick(self._answered(shown, happened), now_s - before_s)
@@ -171,6 +211,10 @@ class Viewer:
                 show(self._renderer.canvas, last, self._window.size)
                 self._window.swap()
         return last
+
+    @property
+    def _ended(self) -> bool:
+        return self._window.closed or (self._flip is not None and not self._flip.running)
 
     def _answered(self, shown: Shown, happened: Happened) -> Shown:
         for key in happened.keys:
@@ -202,11 +246,20 @@ class Viewer:
         width, height = self._window.size
         self._renderer.canvas.moving = moving
         size = (max(width // 2, 1), max(height // 2, 1)) if moving else (width, height)
-        if shown.mode == "live":
+        if shown.mode == "live" and self._flip is None:
             return self._four(shown, size)
         if self._volume is None:
             return np.zeros((size[1], size[0], 3), np.uint8)
+        if self._flip is not None:
+            return self._flipped(self._scene(shown), self._flip)
         return picture(self._renderer, self._scene(shown), size)
+
+    def _flipped(self, scene: Scene, flip: PageFlip) -> Picture:
+        """Hand both views to the process that flips them; the window shows the left one."""
+        both = replace(scene, stereo=replace(scene.stereo, mode="page-flip"))
+        left, right = (encoded(light) for light in views(self._renderer, both, flip.size))
+        flip.show(*((right, left) if scene.stereo.swap else (left, right)))
+        return left
 
     def _four(self, shown: Shown, size: tuple[int, int]) -> Picture:
         """Newest plane, extended focus so far, range so far and volume so far, side by side."""
