@@ -54,6 +54,8 @@ def dense(side: int) -> np.ndarray:
 class Ours:
     def __init__(self, values: np.ndarray, mode: str) -> None:
         self.renderer = Renderer()
+        self.renderer.canvas.moving = mode.endswith("moving")
+        mode = mode.removesuffix(" moving")
         self.volume = Volume((Band(values, (FLOOR, FULL)),))
         self.mode = mode
         self.look = VolumeLook(threshold=100, transfer=Transfer(((FLOOR, 0), (FULL, OPACITY)), 1.0))
@@ -167,19 +169,25 @@ def volumes() -> None:
         for mode in ("mip", "translucent", "first"):
             makers = {
                 "ours": (Ours, mode),
+                "ours moving": (Ours, mode + " moving"),
                 "vtk": (Vtk, mode),
                 "vispy": (Vispy, mode),
                 "vtk fixed": (Vtk, mode + " fixed"),
             }
-            chosen = [name for name in makers if name.split()[0] in PEERS and (name != "vtk fixed" or mode != "first")]
+            chosen = [
+                name
+                for name in makers
+                if name.split()[0] in PEERS and (name not in {"vtk fixed", "ours moving"} or mode != "first")
+            ]
             entries = {name: tried(makers[name][0], values, makers[name][1]) for name in chosen}
             report(f"{mode} {kind}", {name: each for name, each in entries.items() if each is not None})
 
 
 def report(title: str, contestants: dict[str, object]) -> None:
     times = measured(contestants)
-    peers = [seconds for name, seconds in times.items() if name != "ours"] if "ours" in times else []
-    ratio = f"best peer / ours = {min(peers) / times['ours']:.2f}" if peers else ""
+    peers = [seconds for name, seconds in times.items() if not name.startswith("ours")]
+    own = [(name, seconds) for name, seconds in times.items() if name.startswith("ours")]
+    ratio = ", ".join(f"best peer / {name} = {min(peers) / seconds:.2f}" for name, seconds in own if peers)
     print(f"{title}: " + ", ".join(f"{n} {1e3 * s:.0f}" for n, s in times.items()) + f" cpu-ms  {ratio}", flush=True)
 
 

@@ -116,3 +116,27 @@ def test_bands_and_their_ratio(tmp_path):
     assert cv2.imread(str(out))[8, 10].tolist() == pytest.approx([255, 170, 85], abs=1)
     assert run([*given, "--ratio", "0/1", "--colours", "gray", "--overwrite"]) == 0
     assert (cv2.imread(str(out))[8, 10] == 255).all()
+
+
+BAD = {
+    "empty": (np.zeros((0, 8, 9), np.uint8), "stack-axes"),
+    "not numbers": (np.full((3, 8, 9), np.nan, np.float32), "stack-nan"),
+    "infinite": (np.full((3, 8, 9), np.inf, np.float32), "stack-nan"),
+    "complex": (np.zeros((3, 8, 9), complex), "stack-dtype"),
+    "larger than a texture": (np.zeros((1, 2, 20000), np.uint8), "volume-too-large"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_bad_data_get_one_line(tmp_path, capsys, kind):
+    values, code = BAD[kind]
+    np.save(tmp_path / "bad.npy", values)
+    assert run(["render", str(tmp_path / "bad.npy"), "--mode", "cubes", "-o", str(tmp_path / "x.png")]) in {2, 10}
+    assert f"error[{code}]" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("values", [np.zeros((4, 8, 9), np.uint8), np.full((1, 8, 9), 7, np.uint8)])
+def test_nothing_to_see_and_thick_planes_are_drawn_all_the_same(tmp_path, values):
+    np.save(tmp_path / "dull.npy", values)
+    given = ["render", str(tmp_path / "dull.npy"), "--step-um", "10", "--mode", "cubes", "--size", "40x30"]
+    assert run([*given, "-o", str(tmp_path / "x.png")]) == 0
