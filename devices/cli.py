@@ -54,6 +54,7 @@ COMMAND_HELP = {
     "process indents": "Measure hardness indents, and the depth removed between two pictures of a face.",
     "process psf": "Measure the point spread function on a stack of beads.",
     "process resample": "Make the voxels of a stack cubic.",
+    "process volume": "Apply operators to a volume or a range image, one after the other.",
     "process operators": "List the operators that steps of a pipeline may name.",
     "run": "Take what a recipe says.",
     "section": "Move a microtome's feed and knife by hand.",

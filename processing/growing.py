@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import TYPE_CHECKING, Any, Literal
 
 import cc3d
@@ -16,6 +17,8 @@ from processing.operators import operator
 from processing.volume_filters import checked, median
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from processing.neighbours import Rule, Spacing
@@ -25,6 +28,7 @@ if TYPE_CHECKING:
     Place = tuple[int, int, int]
 
 MOST_ROUNDS = 50
+FIRST_REACH = 16  # voxels around a seed that are looked at first
 ROOM = 8  # voxels around a balloon in which it may grow before more of the volume is looked at
 
 
@@ -68,10 +72,8 @@ def region(
     if not tolerance >= 0:
         raise InputError(f"a tolerance of {tolerance:g} is not possible.", fix="0 or more", code="operator-params")
     grow = {"seed": by_seed, "mean": by_mean, "neighbour": by_neighbour}[like]
-    inside = np.zeros(grey.shape, bool)
-    for place in places(seed, grey.shape):
-        inside |= grow(grey, place, tolerance, checked_rule(rule))
-    return to_mask(inside)
+    found = (grow(grey, place, tolerance, checked_rule(rule)) for place in places(seed, grey.shape))
+    return to_mask(reduce(np.logical_or, found))
 
 
 def places(seed: tuple[int, ...], shape: tuple[int, ...]) -> list[Place]:
@@ -94,7 +96,25 @@ def places(seed: tuple[int, ...], shape: tuple[int, ...]) -> list[Place]:
 
 def by_seed(grey: Array, place: Place, tolerance: float, rule: Rule) -> Inside:
     """Return the voxels within the tolerance of the seed's value that are joined to it."""
-    return _joined(_within(grey, float(grey[place]), tolerance), place, rule)
+    return around_value(grey, place, float(grey[place]), tolerance, rule)
+
+
+def around_value(grey: Array, place: Place, value: float, tolerance: float, rule: Rule) -> Inside:
+    """Return the voxels within the tolerance of a value that are joined to the seed, which counts as within."""
+    low: Any = value - tolerance
+    high: Any = value + tolerance
+    if grey.dtype.kind == "u":  # compared as what they are, not as real numbers
+        top = np.iinfo(grey.dtype).max
+        low, high = (grey.dtype.type(np.clip(v, 0, top)) for v in (np.ceil(low), np.floor(high)))
+
+    def join(part: Array, seed: Place) -> Inside:
+        within: Inside = (part >= low) & (part <= high)
+        within[seed] = True
+        labels: Array = cc3d.connected_components(within, connectivity=rule, binary_image=True)
+        same: Inside = labels == labels[seed]
+        return same
+
+    return spread(grey, place, join)
 
 
 def by_mean(grey: Array, place: Place, tolerance: float, rule: Rule) -> Inside:
@@ -104,9 +124,8 @@ def by_mean(grey: Array, place: Place, tolerance: float, rule: Rule) -> Inside:
     """
     inside = by_seed(grey, place, tolerance, rule)
     for _ in range(MOST_ROUNDS):
-        within = _within(grey, float(grey[inside].mean(dtype=np.float64)), tolerance)
-        within[place] = True
-        before, inside = inside, _joined(within, place, rule)
+        value = float(grey[inside].mean(dtype=np.float64))
+        before, inside = inside, around_value(grey, place, value, tolerance, rule)
         if np.array_equal(before, inside):
             break
     return inside
@@ -114,21 +133,39 @@ def by_mean(grey: Array, place: Place, tolerance: float, rule: Rule) -> Inside:
 
 def by_neighbour(grey: Array, place: Place, tolerance: float, rule: Rule) -> Inside:
     """Return the voxels that are reached from the seed by steps within the tolerance."""
-    raised: Array = grey.astype(np.uint32) + 1 if grey.dtype.kind == "u" else grey - grey.min() + np.float32(1)
-    labels: Array = cc3d.connected_components(raised, connectivity=rule, delta=float(tolerance))
-    same: Inside = labels == labels[place]
-    return same
+
+    def join(part: Array, seed: Place) -> Inside:
+        raised: Array = part.astype(np.uint32) + 1 if part.dtype.kind == "u" else part - part.min() + np.float32(1)
+        labels: Array = cc3d.connected_components(raised, connectivity=rule, delta=float(tolerance))
+        same: Inside = labels == labels[seed]
+        return same
+
+    return spread(grey, place, join)
 
 
-def _within(grey: Array, value: float, tolerance: float) -> Inside:
-    within: Inside = (grey >= value - tolerance) & (grey <= value + tolerance)
-    return within
+def spread(grey: Array, place: Place, join: Callable[[Array, Place], Inside]) -> Inside:
+    """Look for what is joined to a seed in a box around it, and in larger ones until it does not reach its sides."""
+    inside = np.zeros(grey.shape, bool)
+    reach = FIRST_REACH
+    while True:
+        box = tuple(slice(max(0, p - reach), p + reach + 1) for p in place)
+        seed = (place[0] - box[0].start, place[1] - box[1].start, place[2] - box[2].start)
+        found = join(np.ascontiguousarray(grey[box]), seed)
+        if found.shape == grey.shape:
+            return found
+        if not _leaves(found, box, grey.shape):
+            inside[box] = found
+            return inside
+        reach *= 4
 
 
-def _joined(within: Inside, place: Place, rule: Rule) -> Inside:
-    labels: Array = cc3d.connected_components(within, connectivity=rule, binary_image=True)
-    same: Inside = labels == labels[place]
-    return np.ascontiguousarray(same)
+def _leaves(found: Inside, box: tuple[slice, ...], shape: tuple[int, ...]) -> bool:
+    """Tell whether a region reaches a side of its box beyond which the volume goes on."""
+    for axis, (side, length) in enumerate(zip(box, shape, strict=True)):
+        first, last = found.take(0, axis), found.take(-1, axis)
+        if (side.start > 0 and first.any()) or (side.stop < length and last.any()):
+            return True
+    return False
 
 
 @operator("grow.balloon", gives=[AS_MASK])

@@ -83,7 +83,7 @@ def rows() -> list[Row]:
     bits = sitk.GetImageFromArray(mask.astype(np.uint8))
     basins = sitk.GetImageFromArray(markers)
     hills = sitk.GetImageFromArray(depth)
-    tolerance = 60.0
+    tolerance = 110.0  # a third of the volume
     top = float(grey[seed])
     return [
         Row("median, 26 neighbours", lambda: volume_filters.median(grey), {
@@ -130,7 +130,7 @@ def rows() -> list[Row]:
         }, 3, 0.999),
         Row("region growing", lambda: region(grey, seed=seed, tolerance=tolerance, rule=6) > 0, {
             "scikit-image": lambda: flood(grey, seed, connectivity=1, tolerance=tolerance),
-            "ITK": lambda: sitk.ConnectedThreshold(image, [seed[::-1]], top - tolerance, top + tolerance),
+            "ITK": lambda: sitk.ConnectedThreshold(image, [seed[::-1]], top - tolerance, min(top + tolerance, 255)),
         }, 3),
     ]  # fmt: skip
 

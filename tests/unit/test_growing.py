@@ -24,6 +24,14 @@ def test_a_region_equals_scikit_images_flood(rule: int, dtype: type) -> None:
         np.testing.assert_array_equal(region(grey, seed=seed, tolerance=12, rule=rule) > 0, expected)
 
 
+def test_a_region_much_larger_than_the_first_look_is_found_whole() -> None:
+    maze = np.zeros((3, 90, 91), np.uint8)
+    maze[1, ::2] = 9
+    maze[1, 1::4, 90] = maze[1, 3::4, 0] = 9  # one way to and fro through all rows
+    for seed in [(1, 0, 0), (1, 44, 45), (1, 88, 90)]:
+        np.testing.assert_array_equal(region(maze, seed=seed, tolerance=1, rule=6) > 0, maze > 0)
+
+
 def test_seeds_are_united() -> None:
     one, other = (region(GREY, seed=seed, tolerance=5) for seed in [(0, 0, 0), (8, 19, 23)])
     np.testing.assert_array_equal(region(GREY, seed=(0, 0, 0, 8, 19, 23), tolerance=5), np.maximum(one, other))
