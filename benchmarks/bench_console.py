@@ -36,7 +36,7 @@ RIG = (Path(__file__).parent.parent / "sim" / "default_instrument.toml").read_te
 RECIPE = (
     'schema = 1\nname = "b"\n[output]\nkeep_free_gb = 0.001\n[stack]\ntop_um = 10.0\nbottom_um = -10.0\nplanes = {}\n'
 )
-FRAMES, STOPS, PLANES, ROUNDS = 300, 40, 120, 3
+FRAMES, STOPS, PLANES, ROUNDS = 200, 30, 100, 3
 IDLE_FRAMES = 40
 HALT = "\\"
 
@@ -93,6 +93,8 @@ def measure(server, folder, stops):
             rows.extend(panel_rows(spent))
             wire = folder / "wire" / "stage-z.jsonl"
             late_ms = sorted(stop_once(ctx, console, wire, k) for k in range(stops))
+            console.release_stop()
+            wait(ctx, lambda: not console.stopped)
             rows.append((f"Esc to the stop on the wire, median of {stops}, ms", statistics.median(late_ms), None))
             rows.append(("the same, 99th percentile, ms", late_ms[int(0.99 * (len(late_ms) - 1))], 100))
             beside.extend(run_beside(ctx, console, folder / f"beside-{k}") for k in range(ROUNDS))

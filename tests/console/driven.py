@@ -10,7 +10,7 @@ from display.console.tour import Tour
 
 
 def first_run(hand):
-    """Find the focus, set the marks, take a stack; pause, go on, abort; STOP while typing; a panel that fails."""
+    """Find the focus, set marks, take a stack; pause, go on, abort; STOP while typing; a panel that fails; a crash."""
     console = hand.console
     hand.click("//Camera/Live")
     hand.wait(lambda: console.eyes.seen)
@@ -71,24 +71,27 @@ def first_run(hand):
     hand.wait(lambda: any("ZeroDivisionError" in line.words for line in console.journal.lines("error")))
     hand.click("//Camera/Stop live")
     hand.wait(lambda: not console.state.live)
+    crash(hand)
 
 
-def crashes(hand):
+def crash(hand):
     """Start a run, then die as a crash does."""
     console = hand.console
-    hand.enter("//Stack/planes", 600)
-    hand.ctx.item_uncheck("//Stack/extended focus and range")
-    hand.wait(lambda: getattr(console.planned, "planes", 0) == 600)
-    hand.click("//Stack/Review and start...")
+    console.form.exposure_ms = 40.0  # a run that lasts
+    hand.enter("//Stack/planes", 300)
+    hand.wait(lambda: getattr(console.planned, "planes", 0) == 300)
+    hand.key(KEY.r | KEY.mod_ctrl)
     hand.click("//Review before the start/Start now")
     hand.wait(lambda: console.running and console.run.taken > 5)
     os.kill(os.getpid(), signal.SIGKILL)
 
 
 def picks_up(hand):
-    """See the run that another console began, and command it."""
-    hand.wait(lambda: hand.console.running and hand.console.eyes.seen)
+    """See the run that another console began and a script paused, and let it go on to its end."""
+    hand.wait_state("PAUSED")
+    hand.wait(lambda: hand.console.eyes.seen)
     hand.shot("console_200")
+    hand.click("//Stack/Resume")
     hand.wait_state("COMPLETED")
 
 

@@ -19,8 +19,13 @@ from display.console.journal import Journal, event_words
 from display.console.keys import BINDINGS
 from display.console.model import Console
 from display.console.moving import Jogger, Marks
+from display.console.review import Drawn, Wish
 from display.console.stack_form import Advice, SectionsForm, StackForm
 from display.console.tour import STEPS, Tour
+from display.controls import Shown
+from display.relief import Relief
+from display.scene import Layer, Scene
+from processing.heights import Heights
 
 
 def histogram(pixels, top=4095):
@@ -256,3 +261,18 @@ def test_the_tour_starts_its_stack_once_it_is_planned_and_ends_after_its_last_st
     for _ in STEPS:
         console.tour.forward()
     assert not console.tour.shown
+
+
+def test_a_line_over_a_range_image_is_measured_in_um():
+    rows, columns, pixel_um = 60, 80, 0.5
+    heights = Heights(np.tile(0.5 * pixel_um * np.arange(columns), (rows, 1)).astype(np.float32), (pixel_um, pixel_um))
+    wish = Wish("run", Shown(("range",), 1, mode="range"), (400, 300))
+    drawn = Drawn(wish, np.zeros((300, 400, 3), np.uint8), Scene((Layer(Relief(heights), "isometric"),)))
+    line = ((100, 150), (300, 150))
+    length_um = drawn.length_um(line)
+    assert length_um == pytest.approx(200 * drawn.pixel_um)
+    assert drawn.pixel_um == pytest.approx(79 * pixel_um * 1.04 / 400)
+    found = drawn.profile(line)
+    assert found.distance[-1] == pytest.approx(length_um)
+    assert found.height[-1] - found.height[0] == pytest.approx(0.5 * length_um, rel=1e-4)
+    assert found.height[0] == pytest.approx(0.5 * (79 * pixel_um / 2 - length_um / 2), rel=1e-4)

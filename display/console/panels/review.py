@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from display.gl.canvas import Canvas
 
 YELLOW = 0xFF30D0FF
+SHADE = 0xC0000000
 STILL_S = 0.3
 BUTTONS: tuple[tuple[imgui.MouseButton_, Literal["left", "right", "middle"]], ...] = (
     (imgui.MouseButton_.left, "left"),
@@ -204,8 +205,10 @@ class ReviewPanel:
                 f", height {heights.min():.2f} … {heights.max():.2f} µm, end to end {heights[-1] - heights[0]:+.2f}"
             )
             size = imgui.ImVec2(min(w.em(18).x, float(drawn.wish.size[0])), w.em(5).x)
-            imgui.set_cursor_screen_pos(imgui.ImVec2(at[0] + 4, at[1] + drawn.wish.size[1] - size.y - w.em(2).x))
+            imgui.set_cursor_screen_pos(imgui.ImVec2(at[0] + 4, at[1] + w.em(4).x))
             imgui.plot_lines("##profile", heights.astype(np.float32), graph_size=size)
-        for off, colour in ((1, 0xFF000000), (0, YELLOW)):
-            lines.add_text(imgui.ImVec2(at[0] + 6 + off, at[1] + drawn.wish.size[1] - w.em(1.6).x + off), colour, words)
+        corner = imgui.ImVec2(at[0] + w.em(0.5).x, at[1] + w.em(2.4).x)
+        size = imgui.calc_text_size(words)
+        lines.add_rect_filled(corner, imgui.ImVec2(corner.x + size.x, corner.y + size.y), SHADE)
+        lines.add_text(corner, YELLOW, words)
         console.measured = words
