@@ -66,39 +66,50 @@ def cut_rows(padded: Array, geometry: Array, scale: Array, planes: Array, first:
 def cut_row(padded: Array, geometry: Array, scale: Array, planes: Array, number: int, j: int, seen: Array) -> None:
     """Lay one plane into one row, where it is nearer than what is there and not transparent.
 
-    Nothing is taken apart into views or handed on: that is counted, and takes longer than the arithmetic.
+    All numbers are read before the loop: in it the compiler must suppose that what is written changes them.
     """
     nx, ny, nz, distance = planes[number, 0], planes[number, 1], planes[number, 2], planes[number, 3]
+    mx, my, mz = planes[number, 4] + 1, planes[number, 5] + 1, planes[number, 6] + 1
     vx, vy, vz = geometry[5, 0], geometry[5, 1], geometry[5, 2]
+    ox, oy, oz = (
+        geometry[0, 0] + j * geometry[2, 0],
+        geometry[0, 1] + j * geometry[2, 1],
+        geometry[0, 2] + j * geometry[2, 2],
+    )
+    rx, ry, rz, ex, ey, ez = (
+        geometry[1, 0],
+        geometry[1, 1],
+        geometry[1, 2],
+        geometry[4, 0],
+        geometry[4, 1],
+        geometry[4, 2],
+    )
+    ax, ay, az = geometry[6, 0] + 1 - HAIR, geometry[6, 1] + 1 - HAIR, geometry[6, 2] + 1 - HAIR
+    bx, by, bz = geometry[7, 0] + 1 + HAIR, geometry[7, 1] + 1 + HAIR, geometry[7, 2] + 1 + HAIR
+    low, per_value, transparent = scale[0], scale[1], scale[2]
     perspective, smooth = scale[3] > 0, scale[4] > 0
+    dx, dy, dz = geometry[3, 0], geometry[3, 1], geometry[3, 2]
+    reach = np.sqrt((dx * vx) ** 2 + (dy * vy) ** 2 + (dz * vz) ** 2)
+    towards = nx * dx + ny * dy + nz * dz
     for i in range(seen.shape[1]):
-        x = geometry[0, 0] + i * geometry[1, 0] + j * geometry[2, 0]
-        y = geometry[0, 1] + i * geometry[1, 1] + j * geometry[2, 1]
-        z = geometry[0, 2] + i * geometry[1, 2] + j * geometry[2, 2]
-        dx, dy, dz = geometry[3, 0], geometry[3, 1], geometry[3, 2]
+        x, y, z = ox + i * rx, oy + i * ry, oz + i * rz
         if perspective:
-            dx, dy, dz = x - geometry[4, 0], y - geometry[4, 1], z - geometry[4, 2]
-        towards = nx * dx + ny * dy + nz * dz
+            dx, dy, dz = x - ex, y - ey, z - ez
+            reach = np.sqrt((dx * vx) ** 2 + (dy * vy) ** 2 + (dz * vz) ** 2)
+            towards = nx * dx + ny * dy + nz * dz
         if abs(towards) < TINY:
             continue
         t = (distance - nx * x - ny * y - nz * z) / towards
-        way = t * np.sqrt((dx * vx) ** 2 + (dy * vy) ** 2 + (dz * vz) ** 2)
+        way = t * reach
+        x, y, z = x + t * dx + mx, y + t * dy + my, z + t * dz + mz
+        if not (ax <= x <= bx and ay <= y <= by and az <= z <= bz):
+            continue
         if (perspective and t <= -1) or (seen[j, i, 2] > 0 and way >= seen[j, i, 1]):
             continue
-        x, y, z = x + t * dx + planes[number, 4], y + t * dy + planes[number, 5], z + t * dz + planes[number, 6]
-        if within(x, y, z, geometry):
-            value = (value_at(padded, x + 1, y + 1, z + 1, smooth) - scale[0]) * scale[1]
-            if value >= scale[2]:
-                seen[j, i, 0], seen[j, i, 1] = min(max(value, 0.0), 1.0), way
-                seen[j, i, 2], seen[j, i, 3] = 1.0, number
-
-
-@fast
-def within(x: float, y: float, z: float, geometry: Array) -> bool:
-    """Tell whether a point lies in what is shown; a hair's breadth outside still does."""
-    inside_x = geometry[6, 0] - HAIR <= x <= geometry[7, 0] + HAIR
-    inside_y = geometry[6, 1] - HAIR <= y <= geometry[7, 1] + HAIR
-    return bool(inside_x and inside_y and geometry[6, 2] - HAIR <= z <= geometry[7, 2] + HAIR)
+        value = (value_at(padded, x, y, z, smooth) - low) * per_value
+        if value >= transparent:
+            seen[j, i, 0], seen[j, i, 1] = min(max(value, 0.0), 1.0), way
+            seen[j, i, 2], seen[j, i, 3] = 1.0, number
 
 
 @fast
