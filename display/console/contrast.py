@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -68,9 +68,10 @@ class Histogram:
         """Grey levels in a bin."""
         return (self.top + 1) / len(self.counts)
 
-    def bars(self, *, logarithmic: bool) -> NDArray[np.float32]:
-        """Return heights of bars from 0 to 1."""
-        heights = np.log1p(self.counts) if logarithmic else self.counts.astype(np.float64)
+    @cached_property
+    def bars(self) -> NDArray[np.float32]:
+        """Heights of bars from 0 to 1, logarithmic."""
+        heights = np.log1p(self.counts)
         return (heights / max(float(heights.max()), 1.0)).astype(np.float32)
 
 

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from acquire.replies import Picture
     from devices.protocols import Clock
 
-LOOK_S = 0.1
+LOOK_S = 0.015
+STILL_S = 1.0
 BINS = 256
 TREND = 120  # frames
 KEPT_BYTES = 1 << 30
@@ -135,10 +136,11 @@ class Eyes:
         number, before_s = 0, self._clock.now()
         with self._viewer:
             while not self._over.is_set():
-                frame = self._viewer.newest(LOOK_S)
+                frame = self._viewer.newest(0.0)
                 now_s = self._clock.now()
                 if frame is None:
-                    self.rate_hz *= 0.8
+                    self._over.wait(LOOK_S)
+                    self.rate_hz *= 1.0 if now_s - before_s < STILL_S else 0.0
                     continue
                 number += 1
                 self.rate_hz += 0.2 * (1 / max(now_s - before_s, 1e-3) - self.rate_hz)

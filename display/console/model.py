@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from display.console.tour import Tour
 
 PLAN_EVERY_S = 5.0
+FORM_EVERY_S = 0.2
 LIVE_HZ = 30.0
 ARMED_FOR_S = 10.0
 TOP_OF_UNKNOWN = 4095
@@ -79,6 +80,7 @@ class Console:
         self._planned_for = ""
         self._planned_s = float("-inf")
         self._planning = False
+        self._form_looked_s = float("-inf")
 
     # How things stand
 
@@ -173,6 +175,10 @@ class Console:
             self._move(requests.JogStage(by_um=by_um))
 
     def _plan_due(self) -> None:
+        now_s = self._clock.now()
+        if now_s - self._form_looked_s < FORM_EVERY_S:
+            return
+        self._form_looked_s = now_s
         text = self.form.recipe()
         old = self._clock.now() - self._planned_s > PLAN_EVERY_S and not self.running
         if self._planning or not self.bench.connected or (text == self._planned_for and not old):

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 TITLE = "Stereotome"
 SIZE = (1280, 720)
-BUSY_HZ, IDLE_HZ = 30.0, 4.0
+BUSY_HZ, IDLE_HZ = 30.0, 3.0
 LAYOUT = "console-1"
 
 

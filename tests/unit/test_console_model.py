@@ -165,6 +165,17 @@ class FakeBench:
         pass
 
 
+class Ticking:
+    """A clock that goes on by a second at every look."""
+
+    def __init__(self):
+        self.s = 0.0
+
+    def now(self):
+        self.s += 1.0
+        return self.s
+
+
 class FakeEyes:
     seen = None
     kept = None
@@ -172,7 +183,7 @@ class FakeEyes:
 
 @pytest.fixture
 def console():
-    return Console(FakeBench(), FakeEyes(), Journal(), remembered.Settings())
+    return Console(FakeBench(), FakeEyes(), Journal(), remembered.Settings(), Ticking())
 
 
 PLANNED = replies.Planned(

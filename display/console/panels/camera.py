@@ -65,7 +65,7 @@ def _histogram(console: Console, seen: Seen) -> None:
     width = imgui.get_content_region_avail().x
     height, handle = w.em(HEIGHT_EM).x, w.em(HANDLE_EM).x
     at = imgui.get_cursor_screen_pos()
-    bars = seen.histogram.bars(logarithmic=True)
+    bars = seen.histogram.bars
     imgui.plot_histogram("##histogram", bars, scale_min=0.0, scale_max=1.0, graph_size=imgui.ImVec2(width, height))
     lines = imgui.get_window_draw_list()
     for end in ENDS:
