@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 LETTERS_SHARE = 1 / 34  # height of letters in pictures
 LEAST_LETTERS_PX = 9
 WHITE, SHADOW = (255, 255, 255, 255), (0, 0, 0, 230)
+KILO = 1000.0
+WHOLE = (1e4, 1e7)  # numbers that are written in full
 UNITS = ((1e6, "m"), (1e4, "cm"), (1e3, "mm"), (1.0, "µm"), (1e-3, "nm"))
 AXIS_COLOURS = {"x": (255, 110, 110, 255), "y": (110, 230, 110, 255), "z": (120, 160, 255, 255)}
 NICE = (1, 2, 5)
@@ -72,6 +74,8 @@ def nice_length(longest: float) -> float:
 
 def length_words(length: float, unit: str) -> str:
     """Return a length with a unit that suits it; lengths in voxels stay in voxels."""
+    if unit == "m" and abs(length) >= KILO:
+        return f"{number(length / KILO)} km"
     if unit != "µm":
         return f"{number(length)} {unit}"
     size, name = next(((size, name) for size, name in UNITS if length >= size * (1 - 1e-9)), UNITS[-1])
@@ -80,7 +84,7 @@ def length_words(length: float, unit: str) -> str:
 
 def number(value: float) -> str:
     """Return a number as on a scale."""
-    return f"{value:.4g}"
+    return f"{value:.0f}" if WHOLE[0] <= abs(value) < WHOLE[1] else f"{value:.4g}"
 
 
 @cache

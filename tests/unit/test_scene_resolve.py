@@ -126,3 +126,13 @@ def test_zoom_and_pixel_size():
     whole = camera(scene(), SIZE).pixel_um
     assert camera(scene(View(zoom=2)), SIZE).pixel_um == pytest.approx(whole / 2)
     assert camera(scene(replace(View(), pixel_um=0.25)), SIZE).pixel_um == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize(
+    ("length", "unit", "words"),
+    [(2e4, "µm", "2 cm"), (50.0, "m", "50 m"), (1e4, "m", "10 km"), (3e4, "voxels", "30000 voxels")],
+)
+def test_lengths_have_a_unit_that_suits_them(length, unit, words):
+    from display.annotate import length_words
+
+    assert length_words(length, unit) == words
