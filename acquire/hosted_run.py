@@ -115,11 +115,12 @@ class HostedRun:
             return None
         status = session.status
         error, asked = (None, status.question) if outcome is None else (outcome.error, outcome.held)
+        begun = outcome is None and status.state is RunState.IDLE  # it waits for its observers: nobody is idle
         return RunView(
             number=self._number,
             name=self._name,
             folder=str(session.folder),
-            state=str(status.state),
+            state=str(RunState.ARMING if begun else status.state),
             phase=str(status.phase),
             section=status.section,
             sections=status.sections,
