@@ -71,7 +71,7 @@ class Recorder:
         """Raise `StoreError` if the disk failed, or has no room for ``frames`` frames and the reserve."""
         if self._error is not None:
             raise self._error
-        under_way = self._handed_over - self._stored
+        under_way = self._handed_over - self._durable  # planes are written side by side: put is not yet on the disk
         free = free_bytes(self._store.folder) - (frames + under_way) * self._frame_bytes
         if free < self._keep_free_bytes:
             raise DiskLow(
