@@ -14,7 +14,6 @@ from sim.lamp import Lamp
 from sim.motion import Axis, Ringing
 from sim.optics import Optics
 from sim.sensor import Sensor
-from sim.solid import Solid
 from sim.specimen import make_specimen
 from sim.stages import stage_kind
 
@@ -109,6 +108,8 @@ def _seen(
     optics = Optics(lens.na, lens.medium_index, lens.wavelength_um, pixel_um)
     depth, exposure_ms, lamp = spec.camera.bit_depth, spec.camera.exposure_ms, Lamp(faults, seed=seed)
     if spec.sim.specimen == "block":
+        from sim.solid import Solid  # noqa: PLC0415  it is compiled, and only a block needs it
+
         block = BlockSpecimen(Solid(seed), size_px, pixel_um, centre_um)
         return block, FaceSensor(
             block, microtome, optics, bit_depth=depth, exposure_ms=exposure_ms, seed=seed, lamp=lamp

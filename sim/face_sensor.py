@@ -112,7 +112,7 @@ class FaceSensor:
         self._face: Face | None = None
         self._spectrum: np.ndarray = np.empty(0)
         self._frequency: np.ndarray = np.empty(0)
-        self.expose(np.zeros(1), exposure_ms, np.empty((height, width), self.caps().dtype))  # compiles, once for all
+        self._look_at(microtome.face)  # the first takes long: it compiles what paints a solid
 
     def caps(self) -> CameraCaps:
         """Return the shape and type of frames."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
 from devices.values import CameraCaps
 from sim.optics import FARTHEST_UM, FULL_SCALE, LEVELS, Optics, blurred, level_distances_um
@@ -13,9 +12,12 @@ from sim.optics import FARTHEST_UM, FULL_SCALE, LEVELS, Optics, blurred, level_d
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from sim.specimen import Specimen
+    from sim.specimen import Sheet, Specimen
 
 NOISE_TILE = 1024
+SQUARES_PER_UM = (LEVELS - 1) ** 2 / FARTHEST_UM  # the level squared is proportional to the distance
+FARTHEST_SQUARE = np.float32((LEVELS - 1) ** 2 - 1)
+STRIP_ROWS = 32  # what is computed of a strip stays in the processor's cache
 FULL_WELL_E = 12000.0
 READ_NOISE_E = 4.0
 BLACK_LEVEL = 0.01
@@ -53,7 +55,8 @@ class Film:
         self._full = float((1 << bit_depth) - 1)
         self._nominal_ms = exposure_ms
         self._rng = np.random.default_rng(seed)
-        self._noise = self._rng.standard_normal((NOISE_TILE, NOISE_TILE), np.float32)
+        noise = self._rng.standard_normal((NOISE_TILE, NOISE_TILE), np.float32)
+        self._noise = np.pad(noise, [(0, side) for side in shape], mode="wrap")  # a frame's begins at any pixel
         self._bit_depth = bit_depth
         self._lamp = lamp
 
@@ -66,7 +69,22 @@ class Film:
     def develop(self, exposure_ms: float, out: np.ndarray, *, unit: float = 1.0) -> None:
         """Fill ``out`` with the frame of `light`, of which ``unit`` is 1."""
         gain = (WHITE_LEVEL - BLACK_LEVEL) / unit * exposure_ms / self._nominal_ms * self._lamp()
-        _develop(self.light, self._noise, self._rng.integers(0, NOISE_TILE, 2), np.float32(gain), self._full, out)
+        top, left = self._rng.integers(0, NOISE_TILE, 2)
+        noise = self._noise[top : top + self._shape[0], left : left + self._shape[1]]
+        for strip in _strips(len(out)):
+            out[strip] = self._digits(np.float32(gain) * self.light[strip], noise[strip])
+
+    def _digits(self, signal: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """Turn light into digits; photon noise is normal, which it nearly is from some tens of electrons up."""
+        digits = signal * np.float32(1 / FULL_WELL_E)
+        digits += np.float32((READ_NOISE_E / FULL_WELL_E) ** 2)
+        np.sqrt(digits, out=digits)
+        digits *= noise
+        digits += signal
+        digits += np.float32(BLACK_LEVEL)
+        digits *= np.float32(self._full)
+        digits += np.float32(0.5)
+        return np.clip(digits, 0, self._full, out=digits)
 
 
 class Sensor:
@@ -92,11 +110,9 @@ class Sensor:
         seed: int,
         lamp: Callable[[], float] = lambda: 1.0,
     ) -> None:
-        distances_um = level_distances_um()
-        self._sheets = [(s.height_um, blurred(s.texture, optics, distances_um)) for s in specimen.sheets]
+        self._sheets = [_BlurredSheet(sheet, optics) for sheet in specimen.sheets]
         shape = specimen.sheets[0].height_um.shape
         self._film = Film(shape, bit_depth=bit_depth, exposure_ms=exposure_ms, seed=seed, lamp=lamp)
-        self.expose(np.zeros(1), exposure_ms, np.empty(shape, self.caps().dtype))  # compiles, once for all
 
     def caps(self) -> CameraCaps:
         """Return the shape and type of frames."""
@@ -115,47 +131,52 @@ class Sensor:
             (height, width), of the type in `caps`.
         """
         self._film.light.fill(0)
-        for height_um, levels in self._sheets:
-            _add_light(self._film.light, height_um, levels, path_um.astype(np.float32))
+        for strip in _strips(len(out)):
+            for sheet in self._sheets:
+                for z_um in path_um:
+                    sheet.add_light(strip, z_um, self._film.light)
         self._film.develop(exposure_ms, out, unit=FULL_SCALE * len(path_um))
 
 
-@njit(nogil=True, fastmath=True, cache=True)
-def _add_light(light: np.ndarray, height_um: np.ndarray, levels: np.ndarray, path_um: np.ndarray) -> None:
-    """Add, for every pixel and position, the texture blurred for their distance: between two levels, linearly.
+class _BlurredSheet:
+    """A sheet of the specimen, its texture blurred for every level of distance.
 
-    Level i is made for the distance ``FARTHEST_UM·(i/(LEVELS - 1))²``, which gives the closed form of ``part``. Where
-    to look is computed for a whole row before anything is looked up: the first is done in vectors, the second cannot.
+    Each level lies beside the next, so that one look-up gets both ends of an interpolation.
     """
-    rows, columns = light.shape
-    wrap, plane = np.int32(levels.shape[1] - 1), np.int32(levels.shape[1] * levels.shape[2])
-    scale, last = np.float32((LEVELS - 1) ** 2 / FARTHEST_UM), np.float32((LEVELS - 1) ** 2 - 1)
-    flat = levels.reshape(-1)
-    near, part = np.empty(columns, np.int32), np.empty(columns, np.float32)
-    for y in range(rows):
-        row = np.int32(y & wrap) * np.int32(levels.shape[2])
-        for z_um in path_um:
-            for x in range(columns):
-                square = min(abs(z_um - height_um[y, x]) * scale, last)
-                level = np.int32(np.sqrt(square))
-                part[x] = (square - np.float32(level * level)) / np.float32(2 * level + 1)
-                near[x] = level * plane + row + (np.int32(x) & wrap)
-            for x in range(columns):
-                nearer = np.float32(flat[near[x]])
-                light[y, x] += nearer + part[x] * (np.float32(flat[near[x] + plane]) - nearer)
+
+    def __init__(self, sheet: Sheet, optics: Optics) -> None:
+        levels = blurred(sheet.texture, optics, level_distances_um())
+        self._tile_px = levels[0].size
+        self._pairs = np.stack([levels[:-1], levels[1:]], axis=-1).view(np.uint32).reshape(-1)
+        height, width = sheet.height_um.shape
+        rows, columns = levels.shape[1:]
+        in_tile = np.arange(height)[:, None] % rows * columns + np.arange(width) % columns
+        self._in_tile = in_tile.astype(np.int32)
+        self._height = sheet.height_um * SQUARES_PER_UM
+
+    def add_light(self, strip: slice, z_um: float, light: np.ndarray) -> None:
+        """Add, for every pixel of a strip, the texture blurred for its distance: between two levels, linearly.
+
+        Level i is made for the distance ``FARTHEST_UM·(i/(LEVELS - 1))²``, which gives the closed form of ``part``.
+        """
+        square = self._height[strip] - np.float32(z_um * SQUARES_PER_UM)
+        np.abs(square, out=square)
+        np.minimum(square, FARTHEST_SQUARE, out=square)
+        level = np.sqrt(square).astype(np.int32)
+        whole = level.astype(np.float32)
+        square -= whole * whole
+        whole *= 2
+        whole += 1
+        part = np.divide(square, whole, out=square)
+        level *= self._tile_px
+        level += self._in_tile[strip]
+        ends = self._pairs.take(level).view(np.uint16)
+        near, far = ends[:, ::2].astype(np.float32), ends[:, 1::2].astype(np.float32)
+        far -= near
+        far *= part
+        far += near
+        light[strip] += far
 
 
-@njit(nogil=True, fastmath=True, cache=True)
-def _develop(
-    light: np.ndarray, noise: np.ndarray, offset: np.ndarray, gain: np.float32, full: float, out: np.ndarray
-) -> None:
-    """Turn light into digits; photon noise is normal, which it nearly is from some tens of electrons up."""
-    rows, columns = light.shape
-    wrap = noise.shape[0] - 1
-    shot, read = np.float32(1 / FULL_WELL_E), np.float32((READ_NOISE_E / FULL_WELL_E) ** 2)
-    top = np.float32(full)
-    for y in range(rows):
-        for x in range(columns):
-            signal = gain * light[y, x]
-            noisy = signal + np.sqrt(signal * shot + read) * noise[(y + offset[0]) & wrap, (x + offset[1]) & wrap]
-            out[y, x] = min(max((noisy + np.float32(BLACK_LEVEL)) * top + np.float32(0.5), np.float32(0)), top)
+def _strips(rows: int) -> list[slice]:
+    return [slice(top, min(top + STRIP_ROWS, rows)) for top in range(0, rows, STRIP_ROWS)]

@@ -16,9 +16,10 @@ from wires import PROGRAM, stereotome
 
 from acquire.store import RunEnd, open_run
 
-BLOCK = BENCH.replace("[48, 40]", "[160, 128]") + '\n[sim]\nspecimen = "block"\nseed = 11\n'
+BLOCK = BENCH.replace("[48, 40]", "[320, 256]") + '\n[sim]\nspecimen = "block"\nseed = 11\n'
 STACK = "top_um = 0.0\nbottom_um = 0.0\nplanes = 1"
 RESERVE = 1_000_000
+FRAME_BYTES = 320 * 256 * 2
 
 
 @pytest.fixture
@@ -40,12 +41,13 @@ def night(where, instrument, recipe):
     return f"""
     mount -t tmpfs -o size=64m none {where} || exit 99
     (read go < {where}.fill; free=$(df -B1 --output=avail {where} | tail -1)
-     head -c $((free - {RESERVE + 60_000})) /dev/zero > {where}/ballast) &
+     head -c $((free - {RESERVE + FRAME_BYTES * 3 // 2})) /dev/zero > {where}/ballast) & filler=$!
     {run} {recipe} -i {instrument} --out {where}/run --json --on-hold end </dev/null; {phase}
     {run} --resume {where}/run -i {instrument} --json --answer not-done </dev/null; {phase}
     rm {where}/ballast
     {run} --resume {where}/run -i {instrument} --json --on-hold end </dev/null; {phase}
-    cp -r {where}/run {where}-morning
+    cp -r {where}/run {where}-morning; copied=$?
+    kill $filler 2>/dev/null; exit $copied
     """
 
 
