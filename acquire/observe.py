@@ -11,14 +11,15 @@ import os
 import select
 import subprocess
 import sys
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from devices.errors import PlanError, StereotomeError
+from devices.installed import installed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from importlib.metadata import EntryPoint
 
     Observe = Callable[[Path, Path, Path, dict[str, Any], Callable[[], None]], None]
 
@@ -84,9 +85,9 @@ class Observer:
 
 def known_observer(name: str) -> EntryPoint:
     """Return where the observer of that name is; raises `PlanError` when none is installed."""
-    found = entry_points(group=GROUP, name=name)
+    found = installed(GROUP).select(name=name)
     if not found:
-        known = ", ".join(sorted(entry_points(group=GROUP).names))
+        known = ", ".join(sorted(installed(GROUP).names))
         raise PlanError(f"no observer is called {name!r}.", fix=f"installed are: {known}")
     return next(iter(found))
 

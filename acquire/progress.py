@@ -6,11 +6,10 @@ import sys
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+
+    from rich.progress import Progress
 
 PLAIN_STEP = 0.05
 
@@ -21,18 +20,25 @@ def progress(title: str, total: int, *, quiet: bool = False) -> Iterator[Callabl
     if quiet:
         yield lambda _: None
     elif sys.stderr.isatty():
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-        )
-        with Progress(*columns, console=Console(stderr=True)) as bars:
+        with _bars() as bars:
             bar = bars.add_task(title, total=total)
             yield lambda done: bars.update(bar, completed=done)
     else:
         yield _plain(title, total)
+
+
+def _bars() -> Progress:
+    from rich import progress as parts  # noqa: PLC0415  a script, which sees no bar, does without
+    from rich.console import Console  # noqa: PLC0415
+
+    columns = (
+        parts.TextColumn("{task.description}"),
+        parts.BarColumn(),
+        parts.MofNCompleteColumn(),
+        parts.TimeElapsedColumn(),
+        parts.TimeRemainingColumn(),
+    )
+    return parts.Progress(*columns, console=Console(stderr=True))
 
 
 def _plain(title: str, total: int) -> Callable[[int], None]:

@@ -14,7 +14,7 @@ import sys
 import tempfile
 import traceback
 from datetime import UTC, datetime
-from importlib.metadata import entry_points, version
+from importlib.metadata import version
 from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, NoReturn
 from cyclopts import App, CycloptsError, UnknownCommandError
 
 from devices.errors import StereotomeError, did_you_mean
+from devices.installed import installed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -120,7 +121,7 @@ def build_app(arguments: Sequence[str]) -> App:
     asked = " ".join(arguments)
     app = App("stereotome", help=HELP, version=lambda: version("stereotome"), suppress_keyboard_interrupt=False)
     groups = {"": app}
-    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+    for point in sorted(installed(GROUP), key=lambda point: point.name):
         group, _, name = point.name.rpartition(" ")
         if group not in groups:
             groups[group] = App(group, help=COMMAND_HELP.get(group, ""))
@@ -139,7 +140,7 @@ def _usage(error: CycloptsError) -> str:
 def _unknown_command(error: UnknownCommandError) -> str:
     """Word it from the names alone: the framework would import every command to do so."""
     group = " ".join(error.command_chain or ())
-    names = [point.name for point in entry_points(group=GROUP)]
+    names = [point.name for point in installed(GROUP)]
     known = [name.removeprefix(group).split()[0] for name in names if name.startswith(group)]
     word = (error.unused_tokens or [""])[0]
     return f"no command '{word}'{did_you_mean(word, sorted(set(known)))}"

@@ -8,7 +8,6 @@ import os
 import sys
 import tomllib
 from dataclasses import asdict
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,6 +16,7 @@ from cyclopts import Parameter
 from devices.clock import SystemClock
 from devices.errors import RigError
 from devices.holders import holders_of
+from devices.installed import installed
 from devices.probe import BAUDS, probe_port, words
 from devices.registry import KINDS, drivers
 from devices.transport.ports import group_members, port_group, ports_present
@@ -139,7 +139,7 @@ def _tables(kind: str) -> set[str]:
 
 
 def _models() -> dict[str, type[BaseModel]]:
-    return {point.name: point.load() for point in entry_points(group=MODELS)}
+    return {point.name: point.load() for point in installed(MODELS)}
 
 
 def _print(line: str) -> None:

@@ -6,11 +6,9 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from devices.clock import SystemClock
-from devices.drivers.feed import open_feed
 from devices.errors import DeviceBusy, StereotomeError
 from devices.halt_now import halt_now
 from devices.registry import DeviceContext
-from devices.transport.modbus import frame
 from devices.transport.urgent import send_past_lock
 
 if TYPE_CHECKING:
@@ -51,6 +49,8 @@ def halt_feed(spec: FeedSpec) -> str:
     DeviceError
         The port is missing or takes nothing.
     """
+    from devices.drivers.feed import open_feed  # noqa: PLC0415  an instrument without a feed does without
+
     try:
         feed = open_feed(spec, DeviceContext(SystemClock()), look=False)
     except DeviceBusy:
@@ -65,6 +65,8 @@ def halt_feed(spec: FeedSpec) -> str:
 
 def _past_lock(spec: FeedSpec) -> None:
     """Put the frames of a stop on a line that another program talks over; the answers go to that program."""
+    from devices.transport.modbus import frame  # noqa: PLC0415  an instrument without a feed does without
+
     for profile, action in spec.stops():
         for seq in EITHER_IS_NEW:
             for request in profile.writes(action, {"seq": seq}):

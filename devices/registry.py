@@ -7,13 +7,14 @@ which of them it is called tells what it drives, so that nothing needs importing
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, Literal
 
 from devices.errors import RigError, did_you_mean
+from devices.installed import installed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from importlib.metadata import EntryPoint
     from pathlib import Path
 
     from devices.protocols import Clock
@@ -44,7 +45,7 @@ class DeviceContext:
 
 def drivers(kind: Kind) -> dict[str, EntryPoint]:
     """Return the installed drivers of a kind of device by name."""
-    return {point.name: point for point in entry_points(group=GROUP) if point.attr == f"open_{kind}"}
+    return {point.name: point for point in installed(GROUP) if point.attr == f"open_{kind}"}
 
 
 def unknown_driver(name: str, kind: Kind) -> str | None:

@@ -18,13 +18,13 @@ from __future__ import annotations
 import inspect
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 import numpy as np
 
 from devices.errors import InputError, did_you_mean
+from devices.installed import installed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -177,12 +177,12 @@ def operator(name: str, *, gives: Sequence[Layer], halo: Halo | None = None) -> 
 
 def families() -> list[str]:
     """Return the names of all families that are installed."""
-    return sorted(entry_points(group=GROUP).names)
+    return sorted(installed(GROUP).names)
 
 
 def operators() -> list[Operator]:
     """Return every installed operator, by name; imports all families."""
-    for entry in entry_points(group=GROUP):
+    for entry in installed(GROUP):
         entry.load()
     return [_registered[name] for name in sorted(_registered)]
 
@@ -197,7 +197,7 @@ def find_operator(name: str) -> Operator:
     """
     if name in _registered:
         return _registered[name]
-    for entry in entry_points(group=GROUP, name=name.partition(".")[0]):
+    for entry in installed(GROUP).select(name=name.partition(".")[0]):
         entry.load()
     if name not in _registered:
         known = [o.name for o in operators()]

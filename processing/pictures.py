@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     Array = NDArray[Any]
@@ -19,7 +18,10 @@ if TYPE_CHECKING:
 
 DOTS_PER_INCH = 100
 MAP_SIDE_PX = 900  # longer side of a map; the numbers are in the TIFF beside it
-MARGINS_INCH = (2.2, 1.3)  # for the scales and the colour bar, and for title and caption
+LEAST_WIDTH_INCH = 3.5
+LEFT_INCH, BELOW_INCH = 0.8, 0.6  # for the scales
+RIGHT_INCH, ABOVE_INCH = 1.4, 0.45  # for the colour bar and the title
+BAR_INCH, BESIDE_INCH = 0.18, 0.15
 STRETCH_PERCENT = (0.1, 99.9)
 LIMITS_PERCENT = (0.5, 99.5)
 CAPTION_PX = 22
@@ -110,24 +112,41 @@ def draw_map(
     """Draw values as colours, with scales along the sides and a colour bar; returns RGB, (h, w, 3) uint8."""
     height, width = values.shape
     inches = MAP_SIDE_PX / DOTS_PER_INCH / max(height, width)
-    size = (max(width * inches, 3.5) + MARGINS_INCH[0], height * inches + MARGINS_INCH[1])
-    figure = Figure(figsize=size, dpi=DOTS_PER_INCH, layout="constrained")
-    axes = figure.add_subplot()
+    across, down = max(width * inches, LEAST_WIDTH_INCH), height * inches
+    size = (LEFT_INCH + across + RIGHT_INCH, BELOW_INCH + down + ABOVE_INCH)
+    figure = _figure(size)
+    axes = _axes(figure, size, (LEFT_INCH, BELOW_INCH, across, down))
+    bar = _axes(figure, size, (LEFT_INCH + across + BESIDE_INCH, BELOW_INCH, BAR_INCH, down))
     pixel = pixel_um or 1.0
     extent = (0.0, width * pixel, height * pixel, 0.0)
     image = axes.imshow(values, cmap=colours, vmin=limits[0], vmax=limits[1], extent=extent, alpha=opaque)
-    _label(axes, words.title, "µm" if pixel_um else "pixels")
-    figure.colorbar(image, label=words.bar, extend="both")
+    _label(axes, "µm" if pixel_um else "pixels")
+    figure.suptitle(words.title, fontsize=11, y=1 - 0.13 / size[1], va="top")
+    figure.colorbar(image, bar, label=words.bar, extend="both")
     return _drawn(figure)
 
 
-def _label(axes: Axes, title: str, unit: str) -> None:
-    axes.set_title(title, fontsize=11)
+def _figure(size_inch: tuple[float, float], **options: Any) -> Figure:
+    from matplotlib.figure import Figure  # noqa: PLC0415  a second that measuring does without
+
+    return Figure(figsize=size_inch, dpi=DOTS_PER_INCH, **options)
+
+
+def _axes(figure: Figure, size_inch: tuple[float, float], place_inch: tuple[float, float, float, float]) -> Axes:
+    """Add axes at (left, bottom, width, height): to find the place by itself takes the library half the drawing."""
+    across, down = size_inch
+    left, bottom, width, height = place_inch
+    return figure.add_axes((left / across, bottom / down, width / across, height / down))
+
+
+def _label(axes: Axes, unit: str) -> None:
     axes.set_xlabel(f"x, {unit}")
     axes.set_ylabel(f"y, {unit}")
 
 
 def _drawn(figure: Figure) -> Picture:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  as above
+
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba(), np.uint8)[..., :3].copy()
@@ -137,7 +156,7 @@ def captioned(image: Picture, words: str) -> Picture:
     """Return the picture, (h, w[, 3]) uint8, as RGB with a line of white words on black below it."""
     colour = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
     width = max(image.shape[1] / DOTS_PER_INCH, 0.5)
-    figure = Figure(figsize=(width, CAPTION_PX / DOTS_PER_INCH), dpi=DOTS_PER_INCH, facecolor="black")
+    figure = _figure((width, CAPTION_PX / DOTS_PER_INCH), facecolor="black")
     letters = min(8.0, 0.98 * image.shape[1] / max(len(words), 1) * 72 / DOTS_PER_INCH / 0.55)
     figure.text(0.005, 0.25, words, color="white", fontsize=letters)
     strip = cv2.resize(_drawn(figure), (image.shape[1], CAPTION_PX), interpolation=cv2.INTER_AREA)

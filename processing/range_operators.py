@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import cv2
 import numpy as np
-from scipy.ndimage import median_filter
 
 from devices.errors import InputError
 from processing.focus_kernels import compiled
@@ -54,8 +53,15 @@ def median(range_: Array, *, side_px: int = 5) -> Array:
     if side_px < 1 or side_px % 2 == 0:
         raise _refused(f"range.median: a window of {side_px} pixels has no middle", "side_px=3, 5, 7 …")
     whole = _bridged(range_)
-    small = cv2.medianBlur(whole, side_px) if side_px in {3, 5} else median_filter(whole, side_px, mode="nearest")
-    return np.where(np.isnan(range_), np.float32(np.nan), small)
+    return np.where(np.isnan(range_), np.float32(np.nan), _median_of(whole, side_px))
+
+
+def _median_of(whole: Array, side_px: int) -> Array:
+    if side_px in {3, 5}:
+        return cv2.medianBlur(whole, side_px)
+    from scipy.ndimage import median_filter  # noqa: PLC0415  a second, which filling holes does without
+
+    return np.asarray(median_filter(whole, side_px, mode="nearest"))
 
 
 def _gaussian_reach(params: Mapping[str, Any]) -> tuple[int, ...]:

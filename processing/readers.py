@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-from nibabel.filebasedimages import ImageFileError
-from nibabel.spatialimages import HeaderDataError
 
 from devices.errors import InputError
 
@@ -39,7 +37,6 @@ UM_PER_UNIT = {
 BROKEN = (
     *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError, RuntimeError, SyntaxError),
     *(TypeError, ValueError, OSError, cv2.error, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error),
-    *(HeaderDataError, ImageFileError),
 )
 MICRO_SIGNS = {ord("µ"): "u", ord("μ"): "u"}
 

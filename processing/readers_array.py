@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import nibabel
 import numpy as np
 
 from devices.errors import InputError
@@ -80,7 +79,7 @@ def read_nifti(path: Path, choice: Choice) -> Recording:
     InputError
         Damaged, or no volume.
     """
-    image: Any = nibabel.load(path)
+    image = _nifti(path)
     volume = _with_samples(np.asanyarray(image.dataobj))
     sizes, (unit, _) = image.header.get_zooms(), image.header.get_xyzt_units()
     axes = NIFTI_AXES[: len(image.shape)] + "s" * (volume.ndim - len(image.shape))
@@ -95,6 +94,18 @@ def read_nifti(path: Path, choice: Choice) -> Recording:
         pixel_um=x if abs(x - y) <= ISOTROPIC * x else None,
         notes=(*layout.notes, *notes),
     )
+
+
+def _nifti(path: Path) -> Any:
+    """Open a volume; raises ValueError when it is damaged."""
+    import nibabel  # noqa: PLC0415  other files do without
+    from nibabel.filebasedimages import ImageFileError  # noqa: PLC0415
+    from nibabel.spatialimages import HeaderDataError  # noqa: PLC0415
+
+    try:
+        return nibabel.load(path)
+    except (HeaderDataError, ImageFileError) as cause:
+        raise ValueError(str(cause)) from cause
 
 
 def _with_samples(volume: Array) -> Array:

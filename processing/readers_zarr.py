@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import tensorstore
-import zarr
 
 from devices.errors import InputError
 from processing.readers import Choice, Layout, Recording, lay_out, to_um
@@ -17,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    import zarr
     from numpy.typing import NDArray
 
     Array = NDArray[Any]
@@ -92,6 +92,8 @@ def _absent(absent: int, chunks: int) -> str:
 
 def find_image(path: Path) -> Image:
     """Find the one image at ``path`` or in the collection there."""
+    import zarr  # noqa: PLC0415  half a second that other files do without
+
     node = zarr.open(path, mode="r")
     if not isinstance(node, zarr.Group):
         raise _no_image(path, f"It is a bare array; the image is the folder above: {path.parent}")
@@ -126,8 +128,8 @@ def _dictionary(value: object) -> dict[str, Any]:
 def _image(path: Path, group: zarr.Group, ome: dict[str, Any], table: dict[str, Any]) -> Image:
     scales = ome["multiscales"][0]
     level = scales["datasets"][0]
-    array = group[level["path"]]
-    if not isinstance(array, zarr.Array):
+    array: Any = group[level["path"]]
+    if not hasattr(array, "shape"):
         raise TypeError(f"{level['path']} is no array")
     listed = scales.get("axes", list(EARLY_AXES[-array.ndim :]))
     axes = [axis if isinstance(axis, dict) else {"name": axis} for axis in listed]

@@ -42,7 +42,7 @@ def commands(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     names = {"refuse": refuse, "busy": busy, "interrupt": interrupt, "stumble": stumble, "count nine": nine}
     points = [EntryPoint(name, f"{HERE}:{function.__name__}", cli.GROUP) for name, function in names.items()]
     points.append(EntryPoint("absent", "no.such.module:command", cli.GROUP))
-    monkeypatch.setattr(cli, "entry_points", lambda group: points)
+    monkeypatch.setattr(cli, "installed", lambda group: points)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
 
 

@@ -166,7 +166,7 @@ def drivers_of_ours(monkeypatch: pytest.MonkeyPatch):
     EVENTS.clear()
     functions = {"asi-ms2000": open_stage, "folder": open_camera}
     points = [EntryPoint(name, f"{__name__}:{made.__name__}", registry.GROUP) for name, made in functions.items()]
-    monkeypatch.setattr(registry, "entry_points", lambda group: points)
+    monkeypatch.setattr(registry, "installed", lambda group: points)
 
 
 def spec(source: str = "images") -> rig.RigSpec:
