@@ -36,6 +36,7 @@ class Halting:
         self._feed = feed
         self._lock = threading.RLock()  # a signal may come in the thread that holds it
         self._left = threading.Event()
+        self._repeating = False
 
     def stage_if(self, moving: Callable[[], bool]) -> None:
         """Halt the stage if the run is ``moving`` it and has not left."""
@@ -48,22 +49,43 @@ class Halting:
         try:
             self.everything()
         finally:
-            threading.Thread(target=self._repeat, name="halting", daemon=True).start()
+            self._keep_halting()
 
     def everything(self) -> None:
-        """Halt stage and feed, the feed even if the stage fails."""
+        """Halt stage and feed at the same time: neither waits for the other's answer, which may never come."""
+        if self._feed is None:
+            self._stage.halt()
+            return
+        failures: list[StereotomeError] = []
+        beside = threading.Thread(target=_noting, args=(self._feed.halt, failures), name="halting feed", daemon=True)
+        beside.start()
         try:
             self._stage.halt()
         finally:
-            if self._feed is not None:
-                self._feed.halt()
+            beside.join()
+        if failures:
+            raise failures[0]
 
     def leave(self) -> None:
         """Note that the run gives no further command but the way back."""
         with self._lock:
             self._left.set()
 
+    def _keep_halting(self) -> None:
+        """Start to repeat, once: many at a time break into each other's conversations, and nothing is ever answered."""
+        with self._lock:
+            starts, self._repeating = not self._repeating, True
+        if starts:
+            threading.Thread(target=self._repeat, name="halting", daemon=True).start()
+
     def _repeat(self) -> None:
         while not self._left.wait(REPEAT_S):
             with suppress(StereotomeError):  # the run's own thread meets the same fault, and tells it
                 self.everything()
+
+
+def _noting(halt: Callable[[], None], failures: list[StereotomeError]) -> None:
+    try:
+        halt()
+    except StereotomeError as error:
+        failures.append(error)

@@ -8,11 +8,13 @@ us, in turns in the same run. Prints a table and a line of JSON; ends with 1 whe
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shutil
 import sys
 import tempfile
 import threading
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +35,7 @@ from acquire.ring import RingWriter  # noqa: E402
 from acquire.run_plan import RunPlan, SeriesPlan  # noqa: E402
 from acquire.store import SIDE_BY_SIDE, RunStore  # noqa: E402
 from devices.clock import SystemClock  # noqa: E402
+from devices.errors import LinkError  # noqa: E402
 from devices.rig import load_rig  # noqa: E402
 from devices.values import CameraCaps, Limits  # noqa: E402
 from sim.camera import Replay, SimCamera  # noqa: E402
@@ -162,30 +165,42 @@ def cancelling(folder):
 
 
 def stopping(folder):
-    """Worst ms from `stop` to the bytes that halt stage and feed, while both are talked to."""
-    spec, _, near = world(folder)
+    """Worst ms from `stop` of a run in work to the bytes that halt stage and feed, while both are talked to."""
+    spec, made, near = world(folder)
     rig = far_rig(spec, CLOCK, near)
-    run = Run(StackPlan(0, 100, 50, 100.0), rig.stage, rig.camera, recorder(folder / "stop", 50), CLOCK, feed=rig.feed)
+    camera = SimCamera(Replay(FRAMES, CameraCaps("replay", *SHAPE, 1, "uint16", 12, timed=True)), made.axis)
     over, heard, worst = threading.Event(), {}, 0.0
     near.on_wire = lambda what, given: heard.setdefault(what, CLOCK.now()) if halts(what, given) else None
-
-    def talk(ask):
-        while not over.is_set():
-            ask()
-
-    talkers = [threading.Thread(target=talk, args=[ask]) for ask in (rig.stage.position_um, rig.feed.position_nm)]
+    asks = (rig.stage.position_um, rig.feed.position_nm)
+    talkers = [threading.Thread(target=talk, args=[ask, over], daemon=True) for ask in asks]
     for talker in talkers:
         talker.start()
-    for _ in range(20):
+    for part in range(20):
+        begun = threading.Event()
+        out = recorder(folder / f"stop-{part}", 50)
+        tell = lambda _, begun=begun: begun.set()  # noqa: E731
+        run = Run(StackPlan(-50_000, 2000, 50, 20.0), rig.stage, camera, out, CLOCK, feed=rig.feed, tell=tell)
+        thread = threading.Thread(target=run.execute)
+        thread.start()
+        begun.wait()
+        CLOCK.sleep(0.2 + 0.013 * part)
         heard.clear()
         begin = CLOCK.now()
         run.stop()
         worst = max(worst, *(1000 * (heard[what] - begin) for what in ("stage", "feed")))
-        CLOCK.sleep(0.02)
+        thread.join()
+        assert run.status.state == "CANCELLED", run.error
     over.set()
     for talker in talkers:
         talker.join()
     return worst
+
+
+def talk(ask, over):
+    """Poll a device all the time, as no display does; one that is halted meanwhile may leave a question unanswered."""
+    while not over.is_set():
+        with suppress(LinkError):
+            ask()
 
 
 def halts(what, given):
@@ -203,6 +218,7 @@ ROWS = (
 
 
 def main(words):
+    logging.getLogger("devices").setLevel(logging.ERROR)  # each halt breaks into a conversation, which says so
     missed, figures = 0, {}
     for name, measure, limit in ROWS:
         if words and not any(word in name for word in words):

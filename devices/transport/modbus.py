@@ -146,13 +146,17 @@ class ModbusBus:
     def write_urgently(self, requests: Sequence[Addressed]) -> None:
         """Write within 40 ms, even into a conversation going on, which then finds no answer; then once more in turn.
 
-        All are sent, whatever becomes of the first; the last failure is raised in the end.
+        All are sent, whatever becomes of the first. If an answer is missing, or is one to what was asked before, all
+        are sent again once the line is quiet; the last failure of that is raised.
         """
         if not self._conversation.acquire(timeout=URGENT_WAIT_S):
             self._shout(requests)
             self._conversation.acquire()
         try:
-            failures = [failure for unit, request in requests if (failure := self._write_anyway(unit, request))]
+            failures = self._write_anyway(requests)
+            if failures:
+                self._must_drain = True
+                failures = self._write_anyway(requests, drain=True)
         finally:
             self._conversation.release()
         if failures:
@@ -220,15 +224,18 @@ class ModbusBus:
             if rounds == NOISY_ROUNDS:
                 return
 
-    def _write_anyway(self, unit: int, request: RegisterWrite) -> DeviceError | None:
-        self._must_drain = False  # the reply to a stop matters less than the stop
-        try:
-            self._write_once(unit, request)
-        except LinkLost:
-            raise
-        except (LinkError, Refused) as error:
-            return error
-        return None
+    def _write_anyway(self, requests: Sequence[Addressed], *, drain: bool = False) -> list[DeviceError]:
+        """Write all and return what went wrong; without ``drain`` the replies matter less than the stop."""
+        failures: list[DeviceError] = []
+        for unit, request in requests:
+            self._must_drain &= drain
+            try:
+                self._write_once(unit, request)
+            except LinkLost:
+                raise
+            except (LinkError, Refused) as error:
+                failures.append(error)
+        return failures
 
     def _shout(self, requests: Sequence[Addressed]) -> None:
         try:

@@ -15,6 +15,8 @@ from devices.errors import DeviceBusy, DeviceError, LimitError, Unsafe
 from devices.feed_values import FeedState, KnifeState
 from devices.protocols import Feed
 from devices.registry import DeviceContext
+from devices.transport.modbus import frame
+from devices.wire.modbus_map import RegisterRead
 from sim.feed_line import FeedTwin, Upset, build_feed_twin
 from sim.serial_line import SerialLine
 
@@ -290,6 +292,22 @@ def test_a_stop_breaks_into_a_conversation(on_wire):
     feed._drive.stop()
     assert heard.wait(10)
     reading.join()
+
+
+@every_profile
+def test_a_stop_that_reads_the_answer_to_an_earlier_question_is_sent_again_and_is_no_failure(profile: str):
+    bench = on_twin(profile).ready()
+    stops: list[None] = []
+    bench.twin.machine.stop = lambda: stops.append(None)
+
+    def an_old_answer_comes_first() -> None:
+        bench.port.on_write = lambda: None
+        bench.port.coming.append((0.0, bench.twin.feed_upset(frame(1, RegisterRead(0, 1)))[0].data))
+
+    bench.port.on_write = an_old_answer_comes_first
+    bench.feed.halt()
+    assert stops
+    assert bench.feed.position_nm() == pytest.approx(0.0, abs=2)
 
 
 def test_a_port_that_is_taken(on_wire):

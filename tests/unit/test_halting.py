@@ -39,6 +39,17 @@ def test_a_stop_reaches_a_move_that_began_right_after_it():
     halting.leave()
 
 
+def test_a_stop_asked_for_again_and_again_is_repeated_by_one_thread():
+    halting = Halting(Axis(), Axis())
+    for _ in range(20):
+        halting.stop()
+    repeating = [thread for thread in threading.enumerate() if thread.name == "halting"]
+    halting.leave()
+    for thread in repeating:
+        thread.join(PATIENCE_S)
+    assert len(repeating) == 1
+
+
 def test_once_the_run_has_left_nothing_stops_the_way_back():
     stage = Axis()
     halting = Halting(stage, None)
@@ -54,6 +65,14 @@ def test_only_a_moving_stage_is_halted_by_a_cancel():
     assert stage.halts == 0
     halting.stage_if(lambda: True)
     assert stage.halts == 1
+
+
+def test_the_feed_does_not_wait_for_a_stage_that_does_not_answer():
+    stage, feed = Axis(), Axis()
+    stage.halt = lambda: answered.append(feed.halted.wait(PATIENCE_S))
+    answered = []
+    Halting(stage, feed).everything()
+    assert answered == [True]
 
 
 def test_the_feed_is_halted_even_if_the_stage_is_gone():
