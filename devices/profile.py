@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
@@ -239,6 +240,7 @@ class Profile(Table):
         return RegisterWrite(self.address_of(step.reg), words, len(words) == 1 and WRITE_ONE in self.address.functions)
 
 
+@cache
 def shipped_profiles() -> list[str]:
     """Return the names of the register maps that come with the program."""
     folder = resources.files("devices") / "profiles"
@@ -254,8 +256,7 @@ def load_profile(name: str) -> Profile:
         No such map, or one with problems: all of them, each with its line.
     """
     if name in shipped_profiles():
-        shipped = resources.files("devices") / "profiles" / f"{name}.toml"
-        return parse_profile(shipped.read_text(encoding="utf-8"), f"{name}.toml")
+        return _shipped(name)
     path = Path(name)
     if not path.is_file():
         raise RigError(
@@ -266,6 +267,13 @@ def load_profile(name: str) -> Profile:
         return parse_profile(path.read_text(encoding="utf-8"), str(path))
     except (OSError, UnicodeDecodeError) as cause:
         raise RigError(f"{path}: cannot be read as text: {cause}") from cause
+
+
+@cache
+def _shipped(name: str) -> Profile:
+    """Read it once: an instrument asks for its register map several times."""
+    shipped = resources.files("devices") / "profiles" / f"{name}.toml"
+    return parse_profile(shipped.read_text(encoding="utf-8"), f"{name}.toml")
 
 
 def parse_profile(text: str, name: str) -> Profile:

@@ -10,6 +10,7 @@ Started as a program it is the stable; `Stable` drives it from a test.
 
 from __future__ import annotations
 
+import gc
 import importlib
 import json
 import mmap
@@ -293,6 +294,7 @@ def stable(instrument, recipe, scratch):
 
     import_everything()
     spec, plan, clock = load_rig(instrument, CHANGES), load_recipe(recipe), SharedClock()
+    gc.freeze()  # what all children share is not copied only because garbage is looked for
     address, report = f"\0stereotome-world-{os.getpid()}", scratch / "report"
     listener = Listener(address, family="AF_UNIX")
     world = os.fork()
@@ -304,13 +306,14 @@ def stable(instrument, recipe, scratch):
     listener.close()
     for line in sys.stdin:
         task = json.loads(line)
-        report.unlink(missing_ok=True)
         if task["do"] == "run":
+            report.unlink(missing_ok=True)
             status = in_child(lambda: child(spec, plan, clock, address, task), report)  # noqa: B023  it is done before the next
+            told = json.loads(report.read_text()) if report.exists() else {}
+            told = {"killed": os.WIFSIGNALED(status), **told}
         else:
-            status = in_child(lambda: {"told": asked(address, task["ask"])}, report)  # noqa: B023
-        told = json.loads(report.read_text()) if report.exists() else {}
-        sys.stdout.write(json.dumps({"killed": os.WIFSIGNALED(status), **told}) + "\n")
+            told = {"told": asked(address, task["ask"])}
+        sys.stdout.write(json.dumps(told) + "\n")
         sys.stdout.flush()
     with suppress(ConnectionError, EOFError):
         asked(address, ["over"])
