@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from pathlib import Path  # noqa: TC003
 
 import pytest
-from wires import PROGRAM, stereotome
+from wires import Result, stereotome
 
 from devices.rig import load_rig
 
@@ -48,9 +47,8 @@ def bench_of(lend_bench, tmp_path):
     return start
 
 
-def dialogue(answers: str, *arguments: object) -> subprocess.CompletedProcess:
-    command = [*PROGRAM, "devices", "init", *map(str, arguments)]
-    return subprocess.run(command, input=answers, capture_output=True, text=True, check=False)
+def dialogue(answers: str, *arguments: object) -> Result:
+    return stereotome("devices", "init", *arguments, typed=answers)
 
 
 @pytest.mark.parametrize("driver", MAKERS)
@@ -58,8 +56,8 @@ def test_init_writes_a_rig_with_which_a_stack_is_taken(bench_of, tmp_path: Path,
     bench, rig, recipe = bench_of(driver), tmp_path / "mine.toml", tmp_path / "recipe.toml"
     answers = f"{bench.told['ports']['z']}\nsim\n{bench.told['camera']}\n20\n0.45\n-50\n50\n"
     done = dialogue(answers, rig)
-    assert done.returncode == 0, done.stderr
-    assert "Both answer." in done.stderr
+    assert done.code == 0, done.err
+    assert "Both answer." in done.err
     spec = load_rig(rig)
     assert (spec.stage.z.driver, spec.stage.z.baud) == (driver, MAKERS[driver][0])
     assert (spec.stage.z.limits.min_um, spec.stage.z.limits.max_um, spec.optics.na) == (-50.0, 50.0, 0.45)
@@ -76,12 +74,12 @@ def test_options_answer_for_the_dialogue_and_a_file_is_not_replaced_unasked(benc
     options = ["--port", bench.told["stage_tcp"], "--camera", "sim", "--source", bench.told["camera"]]
     optics = ["--magnification", "10", "--na", "0.3", "--min-um", "-20", "--max-um", "20"]
     done = dialogue("", rig, *options, *optics)
-    assert done.returncode == 0, done.stderr
-    assert "[" not in done.stderr.replace("[Errno", ""), "nothing was asked"
+    assert done.code == 0, done.err
+    assert "[" not in done.err.replace("[Errno", ""), "nothing was asked"
     assert load_rig(rig).optics.magnification == 10.0
     again = dialogue("", rig, *options, *optics)
-    assert again.returncode == 2
-    assert "exists already" in again.stderr
+    assert again.code == 2
+    assert "exists already" in again.err
 
 
 @pytest.mark.parametrize(
@@ -94,8 +92,8 @@ def test_options_answer_for_the_dialogue_and_a_file_is_not_replaced_unasked(benc
 )
 def test_what_init_cannot_do_it_says_and_writes_nothing(tmp_path: Path, answers: str, code: int, words: str):
     done = dialogue(answers, tmp_path / "mine.toml")
-    assert done.returncode == code
-    assert words in done.stderr
+    assert done.code == code
+    assert words in done.err
     assert not (tmp_path / "mine.toml").exists()
 
 
@@ -105,14 +103,14 @@ def test_a_nonsense_answer_is_refused(bench_of, tmp_path: Path, answer: str, wor
     done = dialogue(
         f"{answer}\n", tmp_path / "mine.toml", "--port", bench.told["ports"]["z"], "--camera", "folder", "--source", "x"
     )
-    assert done.returncode == 3
-    assert words in done.stderr
+    assert done.code == 3
+    assert words in done.err
 
 
 def test_a_camera_that_does_not_answer_is_named_and_the_file_stays(bench_of, tmp_path: Path):
     bench, rig = bench_of("asi-tiger"), tmp_path / "mine.toml"
     done = dialogue("", rig, "--port", bench.told["ports"]["z"], "--camera", "sim", "--source", "127.0.0.1:1")
-    assert done.returncode == 4
-    assert "z stage: it is at +0.00 µm." in done.stderr
-    assert "nothing answers at 127.0.0.1:1" in done.stderr
+    assert done.code == 4
+    assert "z stage: it is at +0.00 µm." in done.err
+    assert "nothing answers at 127.0.0.1:1" in done.err
     assert rig.exists()
