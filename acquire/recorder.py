@@ -24,13 +24,16 @@ GROUP = 8  # planes committed together when frames come faster than the disk can
 IDLE_S = 0.05
 RING_BYTES = 256 * 1024**2
 SAFE_SO_FAR = "Planes taken so far are safe; no further plane is exposed."
-MIN_SLOTS, MAX_SLOTS = 4, 32
+MIN_SLOTS, MAX_SLOTS, MAX_SLOTS_AT_CAMERA_RATE = 4, 32, 256
 
 
-def ring_slots(frame_bytes: int, free_shm_bytes: int) -> int:
-    """Return how many frames the ring holds: enough for the worst stall of a disk, within half of the free memory."""
+def ring_slots(frame_bytes: int, free_shm_bytes: int, *, camera_waits: bool = True) -> int:
+    """Return how many frames the ring holds: enough for the worst stall of a disk, within half of the free memory.
+
+    A camera that does not wait for anybody gives some hundred frames in the second such a stall may take.
+    """
     room = min(RING_BYTES, free_shm_bytes // 2)
-    return max(MIN_SLOTS, min(MAX_SLOTS, room // frame_bytes))
+    return max(MIN_SLOTS, min(MAX_SLOTS if camera_waits else MAX_SLOTS_AT_CAMERA_RATE, room // frame_bytes))
 
 
 class DiskLow(StoreError):

@@ -23,6 +23,7 @@ from acquire.standing import (
     Doubt,
     Standing,
     check_place,
+    check_still_parked,
     judge_cut,
     judge_feed,
 )
@@ -104,6 +105,8 @@ class Removal:
             self._note({"e": "origin", "depth_nm": self._feed_axis.position_nm(), "cuts": self._feed_axis.cut_count()})
         elif self.known.cleared or self.known.feed is Act.PENDING:
             self._through(self._check_place)
+        else:
+            self._through(self._check_still_parked)
 
     def _check_ready(self) -> None:
         """Raise `Unsafe` before anything was moved, unless the feed is referenced and at rest."""
@@ -307,6 +310,10 @@ class Removal:
         """Raise `Doubt` unless the feed stands where the journal says it was left."""
         section, fed = self.known.section, self.known.feed is Act.DONE
         check_place(self._resting_nm(), self._depth_nm(section) if fed else self._previous_nm(section))
+
+    def _check_still_parked(self) -> None:
+        """Raise `Doubt` unless the stage reads what it read when feed and knife were begun: it was parked then."""
+        check_still_parked(to_nm(self._stage.position_um()), self._plan.park_nm, PARK_TOLERANCE_NM)
 
     def _bring_to_depth(self, section: int) -> None:
         """Bring a feed that a stroke left drawn back to its depth again; raise `Doubt` if it is anywhere else."""

@@ -108,6 +108,7 @@ class Teller:
             "fault": lambda r: f"fault [{r['code']}]: {r['message']}",
             "missed": lambda r: f"plane {r['plane']} of section {r.get('section', 0)} left out: {r['reason']}",
             "resumed": lambda r: f"the run went on, with {r['durable']} durable planes",
+            "compared": _compared,
             "focus": lambda r: f"section {r['section']}: {r['words']}" if "moved" in r["words"] else None,
             "cut_doubtful": lambda r: f"section {r['section']}: the stroke failed on its way [{r['code']}]",
             "tilt": lambda r: f"view {r['section']}: tilted to {r['angle_deg']:+g}°",
@@ -264,6 +265,12 @@ def _event_table(events: Sequence[Event]) -> Iterator[str]:
         yield f"| {took(event.at_s)} | {event.utc[11:19]} | {_cell(event.what)} |"
     if len(events) > MOST_EVENTS:
         yield f"\n… and {len(events) - MOST_EVENTS} more in report.json."
+
+
+def _compared(record: Record) -> str:
+    if record["apart_um"] is None:
+        return "nothing tells whether z reads as it did before"
+    return f"plane {record['plane']} is where it was, within {record['apart_um'] / 2:.2g} µm along z"
 
 
 def _by(record: Record) -> str:

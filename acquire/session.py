@@ -20,9 +20,10 @@ from acquire.planning import pace_of, plan_run
 from acquire.quality import quality_of
 from acquire.recorder import Recorder, disk_errors, disk_full, ring_slots, size
 from acquire.report import write_report
-from acquire.resume import check_same_instrument, check_same_view, stored_plan, stored_recipe
+from acquire.resume import check_same_instrument, stored_plan, stored_recipe
 from acquire.ring import RingWriter, shared_memory_folder
 from acquire.ring_janitor import sweep_stale
+from acquire.same_view import check_same_view
 from acquire.sequence import check_triggered
 from acquire.standing import Standing, standing
 from acquire.state import Scope
@@ -201,7 +202,8 @@ class Session:
         caps = rig.camera.caps()
         sweep_stale(shared_memory_folder())
         with ExitStack() as undo, disk_errors():
-            slots = ring_slots(caps.frame_bytes, free_bytes(shared_memory_folder()))
+            waits = not (triggered or plan.at_camera_rate)
+            slots = ring_slots(caps.frame_bytes, free_bytes(shared_memory_folder()), camera_waits=waits)
             ring = RingWriter.create("run", caps.shape, caps.dtype, slots, clock=SHARED_TIME)
             undo.callback(ring.close)
             store = make_store(caps)
@@ -341,7 +343,7 @@ def resumed_session(
     Raises
     ------
     Unsafe
-        The instrument or the view is not that of the run.
+        The instrument, the view or the stage's zero is not that of the run.
     """
     recipe, plan = stored_recipe(stored), stored_plan(stored)
     rig.camera.configure(exposure_ms=plan.exposure_ms(0))
@@ -350,11 +352,16 @@ def resumed_session(
     rest = replace(cost_of(plan, rig.spec, caps), bytes_on_disk=len(stored.missing) * caps.frame_bytes)
     check_disk(stored.folder, rest, recipe.output.keep_free_gb)
     plan.check(rig.stage.limits)
-    check_same_view(stored, guarded(rig, clock), clock)
+    compared = check_same_view(stored, guarded(rig, clock), clock)
 
     def make_store(_: CameraCaps) -> RunStore:
-        return RunStore.reopen(stored.folder, clock)
+        store = RunStore.reopen(stored.folder, clock)
+        if compared is not None:
+            store.journal.append(compared.record)
+        return store
 
+    if compared is not None and compared.doubt:
+        tell({"event": "warn", "plane": compared.slot or 0, "code": "z-not-compared", "message": compared.doubt})
     return Session(recipe, rig, plan, make_store, clock, tell, options=options, stored=stored)
 
 

@@ -168,6 +168,20 @@ def check_place(here_nm: float, expected_nm: float) -> None:
         )
 
 
+def check_still_parked(here_nm: float, park_nm: float, tolerance_nm: float) -> None:
+    """Raise `Doubt` unless the stage still reads the place where it was parked out of the knife's way."""
+    if abs(here_nm - park_nm) > tolerance_nm:
+        raise Doubt(
+            Question(
+                "stage-moved",
+                f"The stage reads {here_nm / 1000:+.2f} µm, but was left parked at {park_nm / 1000:+.2f} µm while feed "
+                "and knife were at work. Somebody moved it, or its zero is another one now: then neither its park "
+                "position nor its planes are where they were.",
+                {AGAIN: "look again, after you have brought back its zero and parked it", END: ENDS},
+            )
+        )
+
+
 def judge_cut(knife: KnifeState, counted: int, before: int, *, doubtful: bool = False) -> Act:
     """Tell from the knife, at rest, whether the cut that was begun was executed.
 

@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 
 from acquire.frame import FrameHeader, Missed
 from acquire.ome_zarr import FocalArray
-from acquire.recorder import MAX_SLOTS, MIN_SLOTS, RING_BYTES, Recorder, disk_failed, ring_slots
+from acquire.recorder import (
+    MAX_SLOTS,
+    MAX_SLOTS_AT_CAMERA_RATE,
+    MIN_SLOTS,
+    RING_BYTES,
+    Recorder,
+    disk_failed,
+    ring_slots,
+)
 from acquire.ring import RingWriter
 from acquire.store import RunEnd, RunStore, open_run
 from devices.clock import SystemClock
@@ -122,8 +130,8 @@ def test_no_space_left_is_told_as_such():
     assert disk_failed(OSError(5, "Input/output error")).code == "disk-failed"
 
 
-@given(st.integers(1, 2**28), st.integers(0, 2**36))
-def test_the_ring_is_as_large_as_memory_allows(frame_bytes, free_bytes):
-    slots = ring_slots(frame_bytes, free_bytes)
-    assert MIN_SLOTS <= slots <= MAX_SLOTS
+@given(st.integers(1, 2**28), st.integers(0, 2**36), st.booleans())
+def test_the_ring_is_as_large_as_memory_allows(frame_bytes, free_bytes, camera_waits):
+    slots = ring_slots(frame_bytes, free_bytes, camera_waits=camera_waits)
+    assert MIN_SLOTS <= slots <= (MAX_SLOTS if camera_waits else MAX_SLOTS_AT_CAMERA_RATE)
     assert slots == MIN_SLOTS or slots * frame_bytes <= min(RING_BYTES, free_bytes // 2)
