@@ -22,7 +22,8 @@ import tifffile
 from sections_scene import Sections, sections
 
 from devices.errors import InputError
-from processing.align_fiducials import Marks, find_marks
+from processing.align_fiducials import Marks
+from processing.align_mark_search import find_marks
 from processing.align_models import applied, deformation, distance_px, fitted, grid
 from processing.align_pair import view
 from processing.align_report import resampled

@@ -14,8 +14,9 @@ from cyclopts import Parameter
 from acquire.progress import progress
 from devices.clock import SystemClock
 from devices.errors import InputError
-from processing.align_fiducials import Marks, find_marks, read_marks
+from processing.align_fiducials import Marks, read_marks
 from processing.align_isotropy import Isotropic, elongation, mapped, shortened, tensors
+from processing.align_mark_search import find_marks
 from processing.align_methods import Method  # noqa: TC001  the command line is made from the annotations
 from processing.align_models import Model
 from processing.align_report import files_of, write_alignment

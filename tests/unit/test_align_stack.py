@@ -12,7 +12,7 @@ import tifffile
 
 from devices.cli import run
 from devices.errors import InputError
-from processing.align_fiducials import consistent, find_marks
+from processing.align_mark_search import find_marks
 from processing.align_models import applied, deformation, distance_px
 from processing.align_stack import SectionAligner
 
@@ -158,15 +158,6 @@ def test_marks_are_found_to_a_tenth_and_hold_a_leaning_specimen():
     errors = [[distance_px(m, t, SHAPE) for m, t in zip(a.matrices, matrices, strict=True)][-1] for a in (free, held)]
     assert errors[0] > 4
     assert errors[1] < 0.2
-
-
-def test_round_features_that_wander_are_no_marks():
-    rng = np.random.default_rng(1)
-    matrices = scattered(7, 8)
-    places = np.stack([applied(m, MARKS) for m in matrices]) + rng.normal(0, 0.05, (7, 4, 2))
-    wandering = np.cumsum(rng.normal(0, 2, (7, 5, 2)), axis=0) + rng.random((5, 2)) * SIDE
-    assert consistent(np.concatenate([wandering, places], axis=1), 0) == [5, 6, 7, 8]
-    assert consistent(wandering[:, :2], 0) == []
 
 
 @pytest.mark.parametrize("trend", ["remove", "keep", "model"])
