@@ -53,7 +53,10 @@ def grid_of(stored: StoredRun, sections: Literal["t", "z"] = "t") -> Grid:
     if layout.planes_each > 1:
         raise InputError(
             "the sections of this run have stacks of their own: they cannot all lie along z.",
-            fix="leave --sections out: they lie along t then.",
+            fix=(
+                "leave --sections out: they lie along t then",
+                "make a volume of one picture each: stereotome process faces RUN -o DIR",
+            ),
             code="usage",
         )
     return Grid(slots[:, :, 0].T[None], 0.0, _thickness_um(stored))

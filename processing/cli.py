@@ -48,7 +48,7 @@ def focus(
     fill: Annotated[bool, Switch] = False,
     step_um: float | None = None,
     channel: int | None = None,
-    time: int = 0,
+    time: int | None = None,
     register: Registration = "auto",
     overwrite: Annotated[bool, Switch] = False,
     json: Annotated[bool, Switch] = False,

@@ -41,7 +41,7 @@ def crater(
     heights: Annotated[bool, Switch] = False,
     planes: int | None = None,
     channel: int | None = None,
-    time: int = 0,
+    time: int | None = None,
     overwrite: Annotated[bool, Switch] = False,
     json: Annotated[bool, Switch] = False,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative="")] = False,

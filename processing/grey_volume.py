@@ -68,7 +68,7 @@ def read_volume(
     pixel_um: float | None = None,
     step_um: float | None = None,
     channel: int | None = None,
-    time: int = 0,
+    time: int | None = None,
     quiet: bool = True,
 ) -> GreyVolume:
     """Read all of a volume that `processing.stack.open_stack` would read, its values as they are.

@@ -45,7 +45,7 @@ class Scale:
     "Distance of planes; goes before what the file says."
     channel: int | None = None
     "Channel to take when there are several; counted from 0."
-    time: int = 0
+    time: int | None = None
     "Time point to take when there are several; counted from 0."
 
 

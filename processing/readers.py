@@ -43,10 +43,10 @@ MICRO_SIGNS = {ord("µ"): "u", ord("μ"): "u"}
 
 @dataclass(frozen=True)
 class Choice:
-    """Which part of a file with many channels and times is the stack."""
+    """Which part of a file with many channels and times is the stack; without a choice of time it is the first."""
 
     channel: int | None = None
-    time: int = 0
+    time: int | None = None
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def lay_out(axes: str, shape: Sequence[int], choice: Choice, source: Path, chann
         notes.append("the planes run along time; they are taken as focal planes.")
     elif size.get("t", 1) > 1:
         fixed["t"] = choose_time(size["t"], choice, source)
-        notes.append(f"time point {choice.time} of 0 … {size['t'] - 1}; another one: --time N.")
+        notes.append(f"time point {fixed['t']} of 0 … {size['t'] - 1}; another one: --time N.")
     return Layout(axes, depth, fixed, size.get(depth, 1), tuple(notes))
 
 
@@ -201,13 +201,14 @@ def choose_channel(count: int, choice: Choice, source: Path, names: Sequence[str
 
 def choose_time(count: int, choice: Choice, source: Path) -> int:
     """Return the time point to take, or raise `InputError` if there is no such one."""
-    if not 0 <= choice.time < count:
+    time = choice.time or 0
+    if not 0 <= time < count:
         raise InputError(
-            f"{source} has no time point {choice.time}; it has 0 … {count - 1}.",
+            f"{source} has no time point {time}; it has 0 … {count - 1}.",
             fix="choose one of these: --time N",
             code="stack-time",
         )
-    return choice.time
+    return time
 
 
 def to_um(value: float, unit: str) -> float | None:

@@ -43,7 +43,7 @@ def resample(
     pixel_um: float | None = None,
     step_um: float | None = None,
     channel: int | None = None,
-    time: int = 0,
+    time: int | None = None,
     overwrite: Annotated[bool, Switch] = False,
     json: Annotated[bool, Switch] = False,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative="")] = False,

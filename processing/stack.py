@@ -105,7 +105,7 @@ def open_stack(
     *,
     step_um: float | None = None,
     channel: int | None = None,
-    time: int = 0,
+    time: int | None = None,
     exact: bool = False,
 ) -> Stack:
     """Open a stack of planes from a file or folder.

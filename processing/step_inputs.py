@@ -48,7 +48,7 @@ class Choices:
     pixel_um: float | None = None
     step_um: float | None = None
     channel: int | None = None
-    time: int = 0
+    time: int | None = None
     bands: tuple[int, ...] = ()
 
 

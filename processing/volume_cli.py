@@ -60,7 +60,7 @@ def volume(
     step_um: float | None = None,
     channel: int | None = None,
     bands: str = "",
-    time: int = 0,
+    time: int | None = None,
     memory: str | None = None,
     scheduler: str | None = None,
     resume: Annotated[bool, Switch] = False,
@@ -122,7 +122,7 @@ def apply(
     pixel_um: float | None = None,
     step_um: float | None = None,
     channel: int | None = None,
-    time: int = 0,
+    time: int | None = None,
     overwrite: Annotated[bool, Switch] = False,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative="")] = False,
 ) -> int:

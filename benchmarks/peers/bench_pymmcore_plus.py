@@ -2,7 +2,7 @@
 
 Both sides are driven over one core, take the same planes with the same exposure and keep nothing, so what differs is
 the engine. Overhead is what a plane costs beyond a bare loop of the same core's calls; the three are interleaved.
-Usage: bench_pymmcore_plus.py [planes] [rounds]
+Usage: bench_pymmcore_plus.py [planes] [rounds], or bench_pymmcore_plus.py faults
 Needs the extra ``mm`` and, for the demo devices, the package mm-test-adapters.
 """
 
@@ -13,11 +13,14 @@ import subprocess
 import sys
 import tempfile
 import time
+from itertools import islice
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
 
 import mm_test_adapters
+import numpy as np
+import tensorstore
 import tifffile
 import useq
 from pymmcore_plus import CMMCorePlus
@@ -33,11 +36,10 @@ from devices.drivers.mm_camera import MicroManagerCamera
 from devices.values import Limits
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from acquire.store import RunEnd
 
 EXPOSURE_MS = 1.0
+KILLED_AT = 40
 CONFIGURATION = """
 Property,Core,Initialize,0
 Device,Cam,DemoCamera,DCam
@@ -209,6 +211,7 @@ def store_peer(path: str, planes: int) -> None:
     core.setExposure(EXPOSURE_MS)
     sequence = useq.MDASequence(z_plan={"range": 0.5 * (planes - 1), "step": 0.5}, channels=[])
     core.mda.engine.use_hardware_sequencing = False
+    core.mda.events.frameReady.connect(lambda *_: print("plane", flush=True))
     core.mda.run(sequence, output=path)
     print(str(core.mda.status.finish_reason).rpartition(".")[2], flush=True)
 
@@ -220,7 +223,8 @@ def store_ours(path: str, planes: int) -> None:
     layout = FocalArray(planes, caps.shape, caps.dtype, 0.0, 0.5, None, compression="none")
     store = RunStore.create(Path(path), {"name": "t", "plan_id": plan.plan_id, "plan": plan.canonical()}, layout, clock)
     ring = RingWriter.create("bench", caps.shape, caps.dtype, 8, clock=clock)
-    run = Run(plan, CoreStage(core), camera, Recorder(store, ring, clock), clock)
+    tell = lambda event: print("plane", flush=True) if event["event"] == "plane" else None  # noqa: E731
+    run = Run(plan, CoreStage(core), camera, Recorder(store, ring, clock), clock, tell=tell)
     print(f"{run.execute()}: {run.error}", flush=True)
 
 
@@ -238,28 +242,41 @@ def on_small_disk(mode: str, name: str) -> str:
 
 
 def killed(mode: str, name: str) -> str:
-    """Kill a child that writes 400 planes after two seconds of writing and say what a stock reader finds."""
+    """Kill a child that writes 400 planes when it has told of 40 of them, and say what is left and what it says."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
-        process = subprocess.Popen([sys.executable, __file__, mode, str(path), "400"], stdout=subprocess.DEVNULL)
-        begin = time.monotonic()
-        while not path.exists() and time.monotonic() - begin < 60:
-            time.sleep(0.05)
-        time.sleep(2)
+        process = subprocess.Popen(
+            [sys.executable, __file__, mode, str(path), "400"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        )
+        assert process.stdout is not None
+        told = sum(1 for _ in islice(process.stdout, KILLED_AT))
         process.send_signal(signal.SIGKILL)
-        process.wait()
-        return left_of(path)
+        process.communicate()
+        return f"of {told} planes told of: {left_of(path)}"
 
 
 def left_of(path: Path) -> str:
-    if path.suffix in (".tif", ".tiff"):
+    """What the format's own readers find, and whether anything says that the run did not end."""
+    if path.suffix == ".tiff":
         try:
             with tifffile.TiffFile(path) as tiff:
-                return f"{len(tiff.pages)} readable planes in {path.stat().st_size / 1e6:.0f} MB"
-        except Exception as error:  # noqa: BLE001
+                shape = tiff.series[0].shape if tiff.series else ()
+                return f"{len(tiff.pages)} readable of {path.stat().st_size / 1e6:.0f} MB, series of shape {shape}"
+        except Exception as error:  # noqa: BLE001  whatever a reader raises is the result
             return f"unreadable ({type(error).__name__})"
+    if path.suffix == ".zarr":
+        return zarr_left(path)
     stored = open_run(path)
-    return f"{stored.state}: {len(stored.planes)} planes durable and verified, {len(stored.missing)} named as missing"
+    return f"{stored.state}, {len(stored.planes)} durable and verified, {len(stored.missing)} named as missing"
+
+
+def zarr_left(path: Path) -> str:
+    try:
+        array = tensorstore.open({"driver": "zarr3", "kvstore": {"driver": "file", "path": str(path / "0")}}).result()
+        filled = sum(bool(np.any(array[k].read().result())) for k in range(array.shape[0]))
+    except Exception as error:  # noqa: BLE001  whatever a reader raises is the result
+        return f"unreadable ({type(error).__name__})"
+    return f"shape {tuple(array.shape)}, {filled} planes with pixels, the rest reads as black"
 
 
 def child(mode: str, path: str, planes: int) -> subprocess.CompletedProcess[str]:
@@ -274,7 +291,9 @@ def faults() -> None:
         print(f"| {words} | {fault_in_peer(for_good=for_good)} | {fault_in_ours(for_good=for_good)} |", flush=True)
     full = on_small_disk("store-peer", "a.ome.tiff"), on_small_disk("store-ours", "run")
     print(f"| the disk is full after a third | {full[0]} | {full[1]} |", flush=True)
-    print(f"| kill -9 | {killed('store-peer', 'a.ome.tiff')} | {killed('store-ours', 'run')} |", flush=True)
+    own = killed("store-ours", "run")
+    for words, name in (("OME-TIFF", "a.ome.tiff"), ("OME-Zarr", "a.ome.zarr")):
+        print(f"| kill -9, {words} there | {killed('store-peer', name)} | {own} |", flush=True)
 
 
 def main(arguments: list[str]) -> None:
@@ -283,6 +302,8 @@ def main(arguments: list[str]) -> None:
             store_peer(path, int(planes))
         case ["store-ours", path, planes]:
             store_ours(path, int(planes))
+        case ["faults"]:
+            faults()
         case _:
             overhead(*(int(argument) for argument in arguments or ("200", "5")))
             faults()
