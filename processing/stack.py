@@ -304,7 +304,7 @@ def value_range(recording: Recording) -> tuple[float, float]:
         if not np.isfinite(plane).all():
             raise InputError(
                 f"{recording.label(k)} has pixels that are not numbers (NaN or infinite).",
-                fix="replace them, for example by 0, before measuring focus.",
+                fix="replace them, for example by 0.",
                 code="stack-nan",
             )
         extremes.append((float(plane.min()), float(plane.max())))

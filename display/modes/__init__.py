@@ -10,7 +10,7 @@ import pkgutil
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
-from devices.errors import DisplayError, did_you_mean
+from devices.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -73,9 +73,9 @@ def all_modes() -> dict[str, Mode]:
 
 
 def find_mode(name: str) -> Mode:
-    """Return the mode of that name; raises `DisplayError` (``mode-unknown``) when there is none."""
+    """Return the mode of that name; raises `InputError` (``mode-unknown``) when there is none."""
     if name not in MODES and name not in all_modes():
-        raise DisplayError(
+        raise InputError(
             f"no mode is called {name!r}{did_you_mean(name, sorted(MODES))}.",
             fix="list them: stereotome render --list",
             code="mode-unknown",

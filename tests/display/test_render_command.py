@@ -29,7 +29,7 @@ def test_modes_are_listed(capsys):
 @pytest.mark.parametrize(
     ("arguments", "code", "exit_code"),
     [
-        (["--mode", "mop"], "mode-unknown", 10),
+        (["--mode", "mop"], "mode-unknown", 2),
         (["--size", "8by6"], "usage", 2),
         (["--size", "0x6"], "usage", 2),
         (["--view", "left"], "usage", 2),
