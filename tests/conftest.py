@@ -68,8 +68,10 @@ def emitter():
     tty.setraw(slave)
 
     def serve():
-        while (data := os.read(master, 4096)) != b"\0":
-            for reply in twin.feed(data):
+        data = b""
+        while not data.endswith(b"\0"):  # what was said last may lie before it
+            data = os.read(master, 4096)
+            for reply in twin.feed(data.rstrip(b"\0")):
                 os.write(master, reply)
 
     thread = threading.Thread(target=serve)

@@ -408,7 +408,7 @@ def test_halt_on_a_line_that_loses_the_first_reply_still_stops_the_knife(profile
     knife.cut()
     bench.clock.sleep(1.0)
     bench.twin.upsets.append(Upset("drop", "write"))
-    assert fails(bench.feed.halt).code == "device-silent"
+    bench.feed.halt()  # sent again, since an answer is missing
     assert bench.feed.knife_state() is KnifeState.IN_WINDOW
     bench.clock.sleep(60.0)
     assert knife.cuts_executed == 0
