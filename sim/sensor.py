@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +18,8 @@ if TYPE_CHECKING:
 NOISE_TILE = 1024
 SQUARES_PER_UM = (LEVELS - 1) ** 2 / FARTHEST_UM  # the level squared is proportional to the distance
 FARTHEST_SQUARE = np.float32((LEVELS - 1) ** 2 - 1)
-STRIP_ROWS = 32  # what is computed of a strip stays in the processor's cache
+STRIP_ROWS = 128  # small enough for the processor's cache, large enough for two threads not to wait for each other
+THREADS = 2
 FULL_WELL_E = 12000.0
 READ_NOISE_E = 4.0
 BLACK_LEVEL = 0.01
@@ -59,6 +61,7 @@ class Film:
         self._noise = np.pad(noise, [(0, side) for side in shape], mode="wrap")  # a frame's begins at any pixel
         self._bit_depth = bit_depth
         self._lamp = lamp
+        self._threads = ThreadPoolExecutor(THREADS, "film")
 
     def caps(self) -> CameraCaps:
         """Return the shape and type of frames."""
@@ -71,8 +74,17 @@ class Film:
         gain = (WHITE_LEVEL - BLACK_LEVEL) / unit * exposure_ms / self._nominal_ms * self._lamp()
         top, left = self._rng.integers(0, NOISE_TILE, 2)
         noise = self._noise[top : top + self._shape[0], left : left + self._shape[1]]
-        for strip in _strips(len(out)):
+
+        def digitize(strip: slice) -> None:
             out[strip] = self._digits(np.float32(gain) * self.light[strip], noise[strip])
+
+        self.in_strips(digitize)
+
+    def in_strips(self, work: Callable[[slice], None]) -> None:
+        """Do something with all strips of the frame, some at a time."""
+        rows = self._shape[0]
+        strips = [slice(top, min(top + STRIP_ROWS, rows)) for top in range(0, rows, STRIP_ROWS)]
+        list(self._threads.map(work, strips))
 
     def _digits(self, signal: np.ndarray, noise: np.ndarray) -> np.ndarray:
         """Turn light into digits; photon noise is normal, which it nearly is from some tens of electrons up."""
@@ -130,11 +142,15 @@ class Sensor:
         out : ndarray
             (height, width), of the type in `caps`.
         """
-        self._film.light.fill(0)
-        for strip in _strips(len(out)):
+        light = self._film.light
+        light.fill(0)
+
+        def shine(strip: slice) -> None:
             for sheet in self._sheets:
                 for z_um in path_um:
-                    sheet.add_light(strip, z_um, self._film.light)
+                    sheet.add_light(strip, z_um, light)
+
+        self._film.in_strips(shine)
         self._film.develop(exposure_ms, out, unit=FULL_SCALE * len(path_um))
 
 
@@ -176,7 +192,3 @@ class _BlurredSheet:
         far *= part
         far += near
         light[strip] += far
-
-
-def _strips(rows: int) -> list[slice]:
-    return [slice(top, min(top + STRIP_ROWS, rows)) for top in range(0, rows, STRIP_ROWS)]
