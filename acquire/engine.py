@@ -24,7 +24,7 @@ from acquire.standing import AGAIN, END, ENDS, NOTHING_REMOVED, Standing
 from acquire.state import FINAL, Board, Phase, Question, RunState, RunStatus, Scope
 from acquire.store import RunEnd
 from acquire.taker import CAMERA_STOP_S, Mover, Place, PlaneTaker
-from acquire.verdict import no_inspection
+from acquire.verdict import Finding, no_inspection
 from devices.errors import (
     CameraGone,
     CameraTimeout,
@@ -239,6 +239,7 @@ class Run:
             note=self._note,
             known=known,
             asks=self._policy.asks,
+            accepts_thickness=Finding.THICKNESS in self._policy.accepts,
         )
 
     def _make_inspection(self, inspect: Inspect) -> Inspection:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from acquire.standing import AGAIN, END, ENDS
+from acquire.standing import ACCEPT, AGAIN, END, ENDS
 from acquire.state import Phase, Question
 from acquire.verdict import Finding
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from acquire.verdict import Inspect, SectionPlanes, Verdict
 
 RETAKES = 2
-ACCEPT = "accept"
 WORTH_RETAKING = {Finding.FROZEN, Finding.INCOMPLETE, Finding.SATURATED, Finding.BLURRED, Finding.DUPLICATE}
 
 

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from devices.rig import OpticsSpec, RigSpec
 
 KNIFE_WAYS_S = 1.0  # to the window and out of it
+NM_PER_UM = 1000
+TOLERANCE, READING_COUNTS = 0.1, 3.0  # of a section's thickness
 BACKLASH_MARGIN = 2.0  # overshoot this many times the stated backlash
 
 
@@ -134,9 +136,18 @@ def _plan_sections(table: SectionsSpec, rig: RigSpec) -> SectionPlan:
         sweep_nm=round(table.debris_check.sweep_nm),
         focus_every=table.autofocus_every,
         focus_step_nm=to_nm(table.focus_step_um),
+        tolerance_nm=thickness_tolerance_nm(table, rig.microtome),
     )
     _check_feed(plan, rig.microtome.limits)
     return plan
+
+
+def thickness_tolerance_nm(table: SectionsSpec, feed: FeedSpec) -> int:
+    """Return how far a section may be off; two readings of a feed are each good to half a count and one at rest."""
+    if table.thickness_tolerance_nm is not None:
+        return round(table.thickness_tolerance_nm)
+    count_nm = NM_PER_UM / feed.feed_profile().axis.counts_per_um
+    return round(max(TOLERANCE * table.thickness_nm, READING_COUNTS * count_nm))
 
 
 def _check_feed(plan: SectionPlan, limits: FeedLimits) -> None:

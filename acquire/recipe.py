@@ -220,19 +220,23 @@ class SectionsSpec(Table):
         The face that is there at the start is cut away before the first image; else it is the first image.
     clean : str
         Polisher: ``ask`` has the operator clean each face, ``wash`` waits ``clean_s``.
+    thickness_tolerance_nm : float or None
+        How far the thickness that the feed read back may be off before anything is cut unasked; a tenth of the
+        thickness, or what the feed can resolve if that is more, when left out.
     autofocus_every : int
         Sections between two runs of the autofocus; 0 never.
     on_error : str
         Where something fails: ``pause`` asks, ``park-and-stop`` ends the run, ``continue`` leaves planes out that
         cannot be taken. A cut that is in doubt is always asked about.
     on_quality : str
-        A face that stays frozen, blurred, saturated or incomplete when it is taken again: ``pause`` asks, ``accept``
-        notes it and goes on.
+        A face that stays frozen, blurred, saturated or incomplete when it is taken again, or a section of another
+        thickness: ``pause`` asks, ``accept`` notes it and goes on.
     """
 
     count: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
     depth_um: Positive | None = None
     thickness_nm: Positive
+    thickness_tolerance_nm: Positive | None = None
     cut_then_image: bool = True
     clean: Literal["ask", "wash"] = "ask"
     clean_s: Positive = 10.0
@@ -263,6 +267,7 @@ class SectionsSpec(Table):
         """What is noted and left as it is."""
         debris = {Finding.DEBRIS} if self.debris_check.on_debris == "skip" else set()
         quality = {Finding.FROZEN, Finding.INCOMPLETE, Finding.SATURATED, Finding.BLURRED, Finding.DUPLICATE}
+        quality.add(Finding.THICKNESS)
         return frozenset(debris | (quality if self.on_quality == "accept" else set()))
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from acquire.interlock import PARK_TOLERANCE_NM, lease_of
 from acquire.standing import (
+    ACCEPT,
     AGAIN,
     CUT_ANSWERS,
     DONE,
@@ -24,10 +25,12 @@ from acquire.standing import (
     Standing,
     check_place,
     check_still_parked,
+    check_thickness,
     judge_cut,
     judge_feed,
 )
 from acquire.state import Phase, Question, Scope
+from acquire.verdict import Finding
 from devices.errors import DeviceError, PlanError, Unsafe
 from devices.feed_errors import FeedHalted, FeedUndecided, KnifeFailed
 from devices.feed_values import FeedState, KnifeState
@@ -66,6 +69,8 @@ class Removal:
         What an earlier part of the run has done.
     asks : bool
         A device that fails leads to a question; otherwise to the end of the run.
+    accepts_thickness : bool
+        A section of another thickness is noted, and nobody is asked.
     """
 
     def __init__(
@@ -81,6 +86,7 @@ class Removal:
         note: Callable[[Record], None],
         known: Standing = NOTHING_REMOVED,
         asks: bool = True,
+        accepts_thickness: bool = False,
     ) -> None:
         self._plan = plan
         self._mover = mover
@@ -92,6 +98,7 @@ class Removal:
         self._board = board
         self._write = note
         self._asks = asks
+        self._accepts_thickness = accepts_thickness
         self._lease = lease_of(stage)
         self.known = known
 
@@ -188,7 +195,7 @@ class Removal:
 
     def _enter(self, step: Step) -> None:
         if self.known.section != step.section:
-            self.known = Standing(step.section, origin_nm=self.known.origin_nm)
+            self.known = self.known.next(step.section)
 
     def _note(self, record: Record) -> None:
         self._write(record)
@@ -199,8 +206,11 @@ class Removal:
         assert self.known.origin_nm is not None
         return self._plan.depth_nm(section, self.known.origin_nm)
 
-    def _previous_nm(self, section: int) -> float:
-        return self._depth_nm(section) - self._plan.thickness_nm
+    @property
+    def _place_nm(self) -> float:
+        """Where the feed was left: what it read back for this section or, before it is fed, for the one before."""
+        assert self.known.depth_nm is not None
+        return self.known.depth_nm
 
     def _through(self, act: Callable[[], None]) -> None:
         """Do something to its end; what fails or is in doubt is asked, then looked at anew."""
@@ -224,6 +234,8 @@ class Removal:
         return Question(error.code, f"{error} {error.why}".strip(), CUT_ANSWERS if self.known.doubtful else look)
 
     def _settle(self, choice: str) -> None:
+        if choice == ACCEPT:
+            self._accept_thickness()
         if choice in (DONE, NOT_DONE):
             said = "cut_done" if choice == DONE else "cut_not_done"
             self._note({"e": said, "section": self.known.section, "by": "operator"})
@@ -238,13 +250,31 @@ class Removal:
                 self._write({"e": "fault", "code": error.code, "message": str(error)})
 
     def _feed(self, section: int) -> None:
-        previous_nm, target_nm = self._previous_nm(section), self._depth_nm(section)
+        target_nm = self._depth_nm(section)
         if self.known.feed is Act.BEGUN:
-            self._recover_feed(section, previous_nm, target_nm)
+            self._recover_feed(section, self._place_nm, target_nm)
         if self.known.feed is Act.PENDING:
             self._note({"e": "feed_intent", "section": section, "target_nm": target_nm})
             self._feed_axis.advance_to(target_nm)
             self._note({"e": "feed_done", "section": section, "readback_nm": self._feed_axis.position_nm()})
+        self._judge_thickness(section)
+
+    def _judge_thickness(self, section: int) -> None:
+        """Raise `Doubt` if the section is of another thickness than planned; noted, and accepted if that was said."""
+        if self._plan.tolerance_nm is None:
+            return
+        try:
+            check_thickness(self.known, self._plan.thickness_nm, self._plan.tolerance_nm)
+        except Doubt as doubt:
+            figures = {"fed_nm": self.known.fed_nm}
+            told = {"section": section, "finding": str(Finding.THICKNESS), "words": doubt.question.words}
+            self._write({"e": "verdict", **told, "planes": [], "figures": figures})
+            if not self._accepts_thickness:
+                raise
+            self._accept_thickness()
+
+    def _accept_thickness(self) -> None:
+        self._note({"e": "accepted", "section": self.known.section, "finding": str(Finding.THICKNESS)})
 
     def _recover_feed(self, section: int, previous_nm: float, target_nm: float) -> None:
         here_nm = self._resting_nm()
@@ -257,7 +287,7 @@ class Removal:
         if self.known.cut is Act.BEGUN:
             self._recover_cut(section)
         if self.known.cut is Act.PENDING:
-            self._bring_to_depth(section)
+            self._bring_to_depth()
             begin_s, before = self._clock.now(), self._feed_axis.cut_count()
             self._note({"e": "cut_intent", "section": section, "cuts_before": before})
             self._microtome.arm()
@@ -286,7 +316,7 @@ class Removal:
         if self._microtome is not None and self._feed_axis.knife_state() is not KnifeState.CLEAR:
             self._microtome.abort()
             self._microtome.resolve()
-        self._bring_to_depth(section)
+        self._bring_to_depth()
         self._check_clear()
         self._clock.sleep(CLEAR_TWICE_S)
         self._check_clear()
@@ -308,20 +338,19 @@ class Removal:
 
     def _check_place(self) -> None:
         """Raise `Doubt` unless the feed stands where the journal says it was left."""
-        section, fed = self.known.section, self.known.feed is Act.DONE
-        check_place(self._resting_nm(), self._depth_nm(section) if fed else self._previous_nm(section))
+        check_place(self._resting_nm(), self._place_nm)
 
     def _check_still_parked(self) -> None:
         """Raise `Doubt` unless the stage reads what it read when feed and knife were begun: it was parked then."""
         check_still_parked(to_nm(self._stage.position_um()), self._plan.park_nm, PARK_TOLERANCE_NM)
 
-    def _bring_to_depth(self, section: int) -> None:
+    def _bring_to_depth(self) -> None:
         """Bring a feed that a stroke left drawn back to its depth again; raise `Doubt` if it is anywhere else."""
-        target_nm, here_nm = self._depth_nm(section), self._resting_nm()
-        if self._microtome and target_nm - self._behind_nm <= here_nm < target_nm - SAME_PLACE_NM:
-            self._microtome.approach_to(target_nm)
+        place_nm, here_nm = self._place_nm, self._resting_nm()
+        if self._microtome and place_nm - self._behind_nm <= here_nm < place_nm - SAME_PLACE_NM:
+            self._microtome.approach_to(place_nm)
             here_nm = self._resting_nm()
-        check_place(here_nm, target_nm)
+        check_place(here_nm, place_nm)
 
     def _resting_nm(self) -> float:
         """Return where the feed stands once it stands still, and let its driver take note of it.

@@ -84,6 +84,8 @@ class SectionPlan:
         Sections between two runs of the autofocus; 0 never.
     focus_step_nm : int
         What the focus may be moved at most from one section to the next.
+    tolerance_nm : int or None
+        How far what the feed read back may be off the thickness before anybody is asked; None never.
     """
 
     count: int
@@ -96,6 +98,7 @@ class SectionPlan:
     sweep_nm: int = 1000
     focus_every: int = 0
     focus_step_nm: int = 2000
+    tolerance_nm: int | None = None
 
     def __post_init__(self) -> None:
         if self.count < 1:
@@ -111,6 +114,10 @@ class SectionPlan:
     def removes(self, section: int) -> bool:
         """Tell whether something is removed before a section is imaged."""
         return section > 0 or self.remove_first
+
+    def canonical(self) -> dict[str, Any]:
+        """Return the plan as plain data; what came later than the first runs is left out where it is not used."""
+        return {key: value for key, value in asdict(self).items() if (key, value) != ("tolerance_nm", None)}
 
     def depth_nm(self, section: int, origin_nm: float) -> float:
         """Return the feed's place for a section, from where it stood at the start; never a sum of rounded steps."""
@@ -266,7 +273,8 @@ class RunPlan:
         """Return the plan as plain data; of a plain stack, that of the stack."""
         if self == RunPlan(self.stack):
             return self.stack.canonical()
-        return {**asdict(self), "stack": self.stack.canonical(), "tilts_deg": list(self.tilts_deg)}
+        own = {"stack": self.stack.canonical(), "sections": self.sections and self.sections.canonical()}
+        return {**asdict(self), **own, "tilts_deg": list(self.tilts_deg)}
 
     @property
     def plan_id(self) -> str:

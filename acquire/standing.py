@@ -11,6 +11,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 from acquire.state import Question
+from acquire.verdict import Finding
 from devices.feed_values import KnifeState
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from acquire.journal import Record
 
 SAME_PLACE_NM = 10.0
-AGAIN, DONE, NOT_DONE, END = "again", "done", "not-done", "end"
+AGAIN, DONE, NOT_DONE, ACCEPT, END = "again", "done", "not-done", "accept", "end"
 ENDS = "end the run; what was taken is kept"
 
 
@@ -39,7 +40,6 @@ CUT_ANSWERS = {
 }
 SAYS: dict[str, dict[str, Any]] = {
     "feed_intent": {"feed": Act.BEGUN},
-    "feed_done": {"feed": Act.DONE},
     "feed_not_done": {"feed": Act.PENDING},
     "cut_done": {"cut": Act.DONE, "doubtful": False},
     "clean_done": {"cut": Act.DONE},
@@ -85,6 +85,10 @@ class Standing:
         Where the feed stood when the run began.
     unanswered : Question or None
         What was asked about its feed or cut, and nobody answered.
+    depth_nm, before_nm : float or None
+        Where the feed read back for it, and for the section before.
+    accepted : bool
+        Its thickness was accepted as it is.
     """
 
     section: int = 0
@@ -95,14 +99,30 @@ class Standing:
     doubtful: bool = False
     origin_nm: float | None = None
     unanswered: Question | None = None
+    depth_nm: float | None = None
+    before_nm: float | None = None
+    accepted: bool = False
+
+    @property
+    def fed_nm(self) -> float | None:
+        """How far the feed went for it, as far as that is known."""
+        return None if self.depth_nm is None or self.before_nm is None else self.depth_nm - self.before_nm
+
+    def next(self, section: int) -> Standing:
+        """Return what is known of another section before anything was done for it."""
+        return Standing(section, origin_nm=self.origin_nm, depth_nm=self.depth_nm)
 
     def heard(self, record: Record) -> Standing:
         """Return what is known after one more record."""
         section = record.get("section", self.section)
-        now = self if section == self.section else Standing(section, origin_nm=self.origin_nm)
+        now = self if section == self.section else self.next(section)
         match record["e"]:
             case "origin":
-                return replace(now, origin_nm=record["depth_nm"])
+                return replace(now, origin_nm=record["depth_nm"], depth_nm=record["depth_nm"])
+            case "feed_done":
+                return replace(now, feed=Act.DONE, before_nm=now.depth_nm, depth_nm=record["readback_nm"])
+            case "accepted" if record["finding"] == Finding.THICKNESS:
+                return replace(now, accepted=True)
             case "cut_intent":
                 return replace(now, cut=Act.BEGUN, cuts_before=record["cuts_before"])
             case "hold" if Act.BEGUN in (now.feed, now.cut):
@@ -180,6 +200,21 @@ def check_still_parked(here_nm: float, park_nm: float, tolerance_nm: float) -> N
                 {AGAIN: "look again, after you have brought back its zero and parked it", END: ENDS},
             )
         )
+
+
+def check_thickness(standing: Standing, thickness_nm: float, tolerance_nm: float) -> None:
+    """Raise `Doubt` if the feed read back another thickness than planned, and nobody has accepted it."""
+    fed_nm = standing.fed_nm
+    if standing.accepted or fed_nm is None or abs(fed_nm - thickness_nm) <= tolerance_nm:
+        return
+    raise Doubt(
+        Question(
+            str(Finding.THICKNESS),
+            f"The feed went {fed_nm:.0f} nm for section {standing.section}, {thickness_nm:g} nm are planned, "
+            f"{tolerance_nm:g} nm off is allowed. Nothing of it is removed yet.",
+            {ACCEPT: "go on with it: what was read back is recorded as its thickness", END: ENDS},
+        )
+    )
 
 
 def judge_cut(knife: KnifeState, counted: int, before: int, *, doubtful: bool = False) -> Act:

@@ -26,6 +26,7 @@ class Finding(StrEnum):
     DUPLICATE = "duplicate"
     LOST = "lost specimen"
     LIGHT = "light changed"
+    THICKNESS = "thickness"
 
 
 @dataclass(frozen=True)

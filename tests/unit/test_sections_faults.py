@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from near import Bench
+from sections import BENCH, RECIPE
 
 from acquire.engine import RunState
 from acquire.state import Scope
@@ -264,3 +265,49 @@ def test_the_report_tells_the_story(bench):
     assert "HOLD [knife-failed]" in text
     assert "answered: not-done" in text
     assert "| 2 | 1.500 | 500 | 3 |" in text
+
+
+@pytest.fixture
+def coarse(tmp_path):
+    """A feed that goes by 10 nm, and sections of 504 nm: it reads back 500, 1010 and 1510 nm."""
+    instrument = BENCH.replace("[microtome.knife]", "counts_per_um = 100\n[microtome.knife]")
+    recipe = RECIPE.replace("thickness_nm = 500", "thickness_nm = 504\nthickness_tolerance_nm = 4")
+    return lambda more="": Bench(tmp_path / "b", instrument, recipe + more)
+
+
+@pytest.mark.parametrize(("answer", "state", "cuts"), [("accept", "COMPLETED", 3), ("end", "CANCELLED", 1)])
+def test_a_section_of_another_thickness_is_asked_about_before_it_is_cut(coarse, answer, state, cuts):
+    bench, seen = coarse(), []
+    bench.answers = [answer]
+    bench.on["hold"] = lambda _: seen.append(bench.knife.strokes_begun)
+    assert str(bench.run().state) == state
+    assert [question.code for question in bench.asked] == ["thickness"]
+    assert "510 nm for section 1, 504 nm are planned, 4 nm off is allowed" in bench.asked[0].words
+    assert seen == [1]
+    assert bench.knife.cuts_executed == cuts
+    assert ("accepted" in kinds(bench)) == (answer == "accept")
+    assert "section 1: thickness" in (bench.run_folder / "report.md").read_text()
+
+
+def test_a_thickness_that_nobody_answered_for_is_asked_about_again_and_the_run_goes_on(coarse):
+    bench = coarse()
+    for _ in range(2):
+        outcome = bench.go_on(attended=False) if bench.run_folder.exists() else bench.run(attended=False)
+        assert outcome.held.code == "thickness"
+        assert bench.knife.strokes_begun == 1
+    bench.answers = ["accept"]
+    assert bench.go_on().state is RunState.COMPLETED
+    assert bench.knife.cuts_executed == 3
+
+
+def test_a_thickness_is_noted_and_accepted_where_the_recipe_says_so(coarse):
+    bench = coarse('on_quality = "accept"\n')
+    assert bench.run(attended=False).state is RunState.COMPLETED
+    assert kinds(bench).count("accepted") == 1
+
+
+def test_what_a_feed_cannot_resolve_is_not_asked_about_unless_the_recipe_says_so(coarse):
+    bench = coarse()
+    bench.recipe_file.write_text(bench.recipe_file.read_text().replace("thickness_tolerance_nm = 4\n", ""))
+    assert bench.run(attended=False).state is RunState.COMPLETED
+    assert open_run(bench.run_folder).manifest["plan"]["sections"]["tolerance_nm"] == 50
