@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -25,3 +26,12 @@ def took(seconds: float) -> str:
         return f"{seconds:.1f} s"
     hours, minutes = divmod(round(seconds / 60), 60)
     return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min"
+
+
+def spanned(low: float, high: float) -> str:
+    """Return both ends in words, with four digits of what lies between them: ``76319.87 … 76358.12``."""
+    span = high - low
+    if not (math.isfinite(span) and span > 0):
+        return f"{low:.4g} … {high:.4g}"
+    digits = min(max(3 - math.floor(math.log10(span)), 0), 12)
+    return f"{low:.{digits}f} … {high:.{digits}f}"

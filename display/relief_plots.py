@@ -19,6 +19,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from scipy import ndimage
 
+from acquire.words import spanned
 from devices.errors import InputError
 
 if TYPE_CHECKING:
@@ -150,7 +151,7 @@ def contour_map(
         _label(axes, level, found, heights, increment)
     kind = "interpolated" if edges == "interpolated" else "along the edges of pixels"
     axes.set_title(
-        f"Lines every {increment:g} {heights.unit}, {kind}; {low:.4g} … {high:.4g} {heights.unit}", fontsize=10
+        f"Lines every {increment:g} {heights.unit}, {kind}; {spanned(low, high)} {heights.unit}", fontsize=10
     )
     return _drawn(figure)
 

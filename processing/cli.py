@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from acquire.progress import progress
+from acquire.words import spanned
 from devices.clock import SystemClock
 from devices.errors import InputError
 from processing.focus import SHARPNESS, FocusResult, focus_stack
@@ -158,7 +159,7 @@ def _say_notes(notes: Sequence[str]) -> None:
 def summary(report: dict[str, Any], folder: Path) -> str:
     """Return the lines a person reads at the end: what was measured, then every file."""
     span, unit = report["range"], "µm" if report["unit"] == "um" else "planes"
-    reached = "no range" if span["p1"] is None else f"range {span['p1']:.4g} … {span['p99']:.4g} {unit}"
+    reached = "no range" if span["p1"] is None else f"range {spanned(span['p1'], span['p99'])} {unit}"
     words = (
         f"{reached}, sure in {report['share_confident']:.0%} of the pixels; "
         f"noise {report['noise_grey_levels']:.2g} grey levels; {report['seconds']:.1f} s, "

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
+from acquire.words import spanned
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -79,7 +81,7 @@ def range_map(values: Array, confidence: Array, confident: float, unit: str, pix
     low, high = shown_limits(values, confidence >= confident)
     word = "µm" if unit == "um" else "planes counted from 0"
     share = float(np.mean(confidence >= confident))
-    title = f"Range {low:.4g} … {high:.4g} {'µm' if unit == 'um' else 'planes'}; sure in {share:.0%}, pale elsewhere"
+    title = f"Range {spanned(low, high)} {'µm' if unit == 'um' else 'planes'}; sure in {share:.0%}, pale elsewhere"
     opaque = np.clip(confidence / confident, PALEST, 1.0)
     return draw_map(values, (low, high), MapWords(title, f"range, {word}"), RANGE_COLOURS, pixel_um, opaque)
 

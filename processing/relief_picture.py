@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from acquire.words import spanned
 from processing.pictures import RANGE_COLOURS, MapWords, captioned, draw_map, shown_limits
 
 if TYPE_CHECKING:
@@ -22,9 +23,7 @@ EXAGGERATIONS = np.array([0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 
 def range_picture(values: Array, name: str, pixel_um: float | None) -> NDArray[np.uint8]:
     """Draw a map, (height, width); what is NaN stays white."""
     limits = shown_limits(values)
-    return draw_map(
-        values, limits, MapWords(f"{name} {limits[0]:.4g} … {limits[1]:.4g}", name), RANGE_COLOURS, pixel_um
-    )
+    return draw_map(values, limits, MapWords(f"{name} {spanned(*limits)}", name), RANGE_COLOURS, pixel_um)
 
 
 def relief_picture(range_: Array, pixel_um: float | None) -> NDArray[np.uint8]:

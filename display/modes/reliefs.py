@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from acquire.words import spanned
 from display.light import linear, linear_of
 from display.modes import Bar, Legend, mode
 from display.relief import Relief, ReliefLook
@@ -137,7 +138,7 @@ class Grid(ReliefMode):
 def relief_words(relief: Relief, look: ReliefLook) -> tuple[str, ...]:
     """Return what has to be said of every picture of heights."""
     low, high = relief.heights.limits
-    words = [f"heights {low:.4g} … {high:.4g} {relief.unit}, drawn × {relief.exaggeration:.3g}"]
+    words = [f"heights {spanned(low, high)} {relief.unit}, drawn × {relief.exaggeration:.3g}"]
     if relief.stride > 1:
         words.append(f"one point for every {relief.stride} pixels")
     if look.contours:
