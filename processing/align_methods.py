@@ -61,8 +61,8 @@ def judged(first: View, second: View, model: Model, found: Array | None, name: s
             return NO_MATCH
         fit = step[1]
     scale = max(first.shape) / max(a.shape)
-    seen = fit.judged(found, a.size)
-    return Match(found, seen.correlation, seen.error_px * scale, seen.inliers, seen.overlap, name)
+    seen = fit.judged(found, a, b)
+    return replace(seen, error_px=seen.error_px * scale, start=name)
 
 
 def by_centroids(first: View, second: View, model: Model) -> Array | None:

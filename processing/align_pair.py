@@ -37,6 +37,8 @@ SPARSE = 4  # contrast varies slowly: it is worked out on every fourth pixel
 TUKEY = 3 * 1.4826  # times the median absolute residual
 STRIDE = 4
 ALIKE = 0.3  # correlation of the filtered pictures from which a match is believed
+BEYOND_CHANCE = 8.0  # standard errors it must differ from 0 by: many places were tried, and the best one taken
+SPECTRUM_SIDE = 128  # of the part from which it is told how many pixels say something of their own
 FEWEST = 0.2  # of the pixels must be seen by both
 CUBIC = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
 LINEAR = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -87,6 +89,8 @@ class Match:
         Mean weight of the pixels in the fit: low with dirt, folds or damage.
     overlap : float
         Share of the first picture that the second one shows.
+    beyond_chance : float
+        Standard errors of the correlation between the pictures' 0 and what was found, by Fisher's transformation.
     start : str
         What the refinement began with, or the method whose map it is.
     mismatch : float, optional
@@ -98,6 +102,7 @@ class Match:
     error_px: float
     inliers: float
     overlap: float
+    beyond_chance: float = 0.0
     start: str = "given"
     mismatch: float | None = None
     curves: Mapping[str, Array] | None = None
@@ -107,10 +112,11 @@ class Match:
         """True when the two pictures are of the same thing, as far as pictures can tell."""
         lengths = np.linalg.svd(self.matrix[:2, :2], compute_uv=False)
         sane = np.abs(np.log(np.maximum(lengths, 1e-9))).max() < LARGEST_STRAIN and np.linalg.det(self.matrix) > 0
-        return bool(sane and self.correlation >= ALIKE and self.overlap >= FEWEST)
+        alike = self.correlation >= ALIKE and self.beyond_chance >= BEYOND_CHANCE
+        return bool(sane and alike and self.overlap >= FEWEST)
 
 
-NO_MATCH = Match(np.eye(3), 0.0, float("inf"), 0.0, 0.0, "none")
+NO_MATCH = Match(np.eye(3), 0.0, float("inf"), 0.0, 0.0, start="none")
 
 
 def grey(section: Array) -> Array:
@@ -186,7 +192,7 @@ def refined(first: View, second: View, start: Array, model: Model, name: str = "
         matrix, fit = between_sizes(found[0], a.shape, first.shape), found[1]
     finest = first.levels[-1]
     scale = max(first.shape) / max(finest.shape)
-    return replace(fit.judged(matrix, finest.size), error_px=fit.error_px * scale, start=name)
+    return replace(fit.judged(matrix, finest, second.levels[-1]), error_px=fit.error_px * scale, start=name)
 
 
 def level_refined(a: Array, b: Array, start: Array, model: Model, enough: float) -> tuple[Array, Fit] | None:
@@ -213,10 +219,31 @@ class Fit:
     weight: float = 0.0
     pixels: int = 0
 
-    def judged(self, matrix: Array, size: int) -> Match:
-        """Return the match with this fit."""
+    def judged(self, matrix: Array, a: Array, b: Array) -> Match:
+        """Return the match of two filtered pictures with this fit."""
         inliers = self.weight / max(self.pixels, 1)
-        return Match(matrix, self.correlation, self.error_px, inliers, self.pixels / size)
+        found = Match(matrix, self.correlation, self.error_px, inliers, self.pixels / a.size)
+        if self.correlation < ALIKE:
+            return found
+        independent = self.weight * independent_share(a, b)
+        sure = np.arctanh(min(self.correlation, 0.9999)) * np.sqrt(max(independent - 3, 0.0))
+        return replace(found, beyond_chance=float(sure))
+
+
+def independent_share(a: Array, b: Array) -> float:
+    """Return how much a pixel counts where neighbours are alike: n for the variance of a correlation, over pixels.
+
+    Bartlett's formula, var r = Σ ρ_a ρ_b / n with the autocorrelations ρ, by the power spectra of the middle.
+    """
+    powers = []
+    for picture in (a, b):
+        y, x = (max(n - SPECTRUM_SIDE, 0) // 2 for n in picture.shape)
+        part = picture[y : y + SPECTRUM_SIDE, x : x + SPECTRUM_SIDE]
+        window = np.outer(*(np.hanning(n) for n in part.shape)).astype(np.float32)
+        power = np.abs(np.fft.fft2((part - part.mean()) * window)).astype(np.float32) ** 2
+        powers.append(cv2.blur(power, (5, 5)))
+    both = float((powers[0] * powers[1]).mean())
+    return float(powers[0].mean() * powers[1].mean() / both) if both > 0 else 0.0
 
 
 @dataclass(frozen=True)

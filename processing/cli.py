@@ -35,6 +35,7 @@ Registration = Literal["auto", "on", "off"]
 REGISTER: dict[Registration, bool | Literal["auto"]] = {"auto": "auto", "on": True, "off": False}
 BANDS = ("red", "green", "blue")
 Switch = Parameter(negative="")
+HARDLY_SURE = 0.02  # share of the pixels
 
 
 def focus(
@@ -98,6 +99,9 @@ def focus(
     options: Options = {"method": method, "threshold": threshold, "band": None if band is None else BANDS.index(band)}
     work = Work(opened, options, view, REGISTER[register], SystemClock())
     result, facts = work.measure(quiet=quiet)
+    if (doubt := doubtful(result.share_confident, len(opened))) and not quiet:
+        _say_notes([doubt])
+    facts["notes"] += [doubt] if doubt else []
     result = filled(result) if fill else result
     report = write_focus_result(result, output, pixel_um=opened.pixel_um, facts=facts, overwrite=overwrite)
     sys.stdout.write(notation.dumps(report, ensure_ascii=False) + "\n" if json else summary(report, output))
@@ -143,6 +147,16 @@ class Work:
             )
         planes = ViewedPlanes(stack, stack.z_um, stack.pixel_um, self.view, band=self.options["band"])
         return planes, None if stack.z_um is None else planes.depth, {**self.options, "band": None}
+
+
+def doubtful(share_confident: float, planes: int) -> str:
+    """Return what to say when a range is hardly sure anywhere; empty otherwise."""
+    if planes == 1 or share_confident >= HARDLY_SURE:
+        return ""
+    return (
+        f"the range is sure in {share_confident:.1%} of the pixels only: the planes show nothing, are saturated, all "
+        "alike, or not of one field; see confidence.png."
+    )
 
 
 def filled(result: FocusResult) -> FocusResult:
