@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path  # noqa: TC003  the command line is made from the annotations
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 from cyclopts import Parameter
 
 from acquire.progress import progress
@@ -23,6 +24,8 @@ from processing.stereo_interest import Interest  # noqa: TC001  the command line
 from processing.stereo_points import read_matches
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from processing.stereo_geometry import View
@@ -126,6 +129,7 @@ def elevation_command(
     clock = SystemClock()
     begin = clock.now()
     views, geometry, notes = opened_views(left, right, taking, more or [])
+    refuse_one_twice(views)
     listed = None if matches is None else read_matches(matches)
     with progress("matching", 100, quiet=quiet) as show:
         found = elevation(
@@ -180,6 +184,17 @@ def opened_views(
     geometry = taking.geometry(stacks[0].pixel_um)
     further = tuple(further_view(tilt_deg, geometry.views[0].distance_um) for _, tilt_deg in more)
     return [stack[0] for stack in stacks], replace(geometry, views=(*geometry.views, *further)), notes
+
+
+def refuse_one_twice(views: Sequence[Array]) -> None:
+    """Refuse a picture given as both views: all heights would come out as nothing."""
+    if np.array_equal(views[0], views[1]) and np.ptp(views[0]) > 0:
+        raise InputError(
+            "both views are the same picture, pixel by pixel.",
+            why="Two pictures of a tilted specimen never are.",
+            fix="give the two views.",
+            code="stereo-same",
+        )
 
 
 def summary(said: dict[str, Any], found: Elevation, folder: Path) -> str:

@@ -130,7 +130,8 @@ def measured(fit: Fit, pixel_um: float) -> Indent | None:
     if shape is None:
         return None
     odd = shape == "vickers" and long - short > REPEATABILITY * short
-    hidden = (long - short) / 2 if odd else 0.0  # a corner under a burr: nobody knows which
+    # A corner under a burr: one of the two is off by all of the difference, and nobody knows which.
+    hidden = (long - short) / math.sqrt(2) if odd else 0.0
     errors = [math.hypot(s, TIP_SHARE * d, hidden) for s, d in zip(statistical, (long, short), strict=True)]
     across, error = (long, errors[0]) if shape == "knoop" else ((long + short) / 2, math.hypot(*errors) / 2)
     words = (f"the diagonals differ by {long / short - 1:.1%}, 3 % is usual: look at its corners.",) if odd else ()

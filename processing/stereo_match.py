@@ -133,13 +133,6 @@ def prepared_pair(left: Array, right: Array) -> tuple[Array, Array]:
             fix="give two views of the same field at the same magnification.",
             code="stereo-size",
         )
-    if left.shape == right.shape and np.array_equal(left, right):
-        raise InputError(
-            "both views are the same picture, pixel by pixel.",
-            why="Two pictures of a tilted specimen never are; all heights would come out as nothing.",
-            fix="give the two views.",
-            code="stereo-same",
-        )
     if min(left.shape[:2]) < SMALLEST_SIDE:
         raise InputError(
             f"views of {_size(left)} px are too small to be matched.",

@@ -47,4 +47,4 @@ def test_a_burr_over_a_corner_is_noticed():
 def test_the_stated_error_covers_the_difference(detector):
     found = measured(detector)
     allowed = np.hypot(found.diagonal_errors_um, HAND_ERROR_UM)
-    assert np.all(np.abs(np.array(found.diagonals_um) - BY_HAND_UM) < 2 * allowed)
+    assert np.all(np.abs(np.array(found.diagonals_um) - BY_HAND_UM) < allowed)
