@@ -1,8 +1,8 @@
 """Stacks and cut sections of other programs as runs: ``stereotome import``.
 
-A stack is whatever `processing.stack.open_stack` reads: OME-TIFF, OME-Zarr, Micro-Manager (OME-TIFF, NDTiff), series of
-images. Cut sections come by a table, because nothing in their files tells which is which: images in any order and
-orientation, and places for those that were lost.
+A stack is whatever `processing.stack.open_stack` reads: OME-TIFF, OME-Zarr, Micro-Manager (OME-TIFF, NDTiff, folders),
+series of images. Cut sections come by a table, because nothing in their files tells which is which: images in any
+order and orientation, and places for those that were lost.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ import numpy as np
 
 from devices.errors import InputError
 from processing.readers import Choice, Recording, choose_channel, damaged, reading
+from processing.readers_mm import beside
 from processing.readers_tiff import read_tiff
 
 if TYPE_CHECKING:
@@ -99,13 +100,15 @@ def read_files(files: Sequence[Path], choice: Choice, source: Path) -> Recording
     places, gap = _places(series)
     notes += [gap] if gap else []
     tiffs = [_one_plane(path) for path in series.files] if all(map(is_tiff, series.files)) else []
+    told = beside(series.files[0].parent)
+    own_um = _positions(tiffs)
     return Recording(
         count=len(series.files),
         read=_reader(series.files),
-        z_um=_positions(tiffs),
-        pixel_um=tiffs[0].pixel_um if tiffs else None,
+        z_um=told.positions(series.files) if own_um is None else own_um,
+        pixel_um=(tiffs[0].pixel_um if tiffs else None) or told.pixel_um,
         places=places,
-        notes=tuple(notes),
+        notes=(*notes, *told.notes),
         label=lambda k: series.files[k].name,
     )
 

@@ -155,6 +155,9 @@ def _spacing(reader: _PlaneReader, layout: Layout) -> dict[str, Any]:
     file = reader.file
     if file.is_ome:
         found = _ome_spacing(file, layout)
+        if found["z_um"] is None and MICRO_MANAGER in file.pages.first.tags:  # it gave no unit before 2016
+            told = _micromanager_spacing(reader, layout.count)
+            found |= {key: value for key, value in told.items() if value is not None}
     elif file.is_imagej:
         found = _imagej_spacing(file)
     elif MICRO_MANAGER in file.pages.first.tags:
@@ -182,7 +185,8 @@ def _micromanager_spacing(reader: _PlaneReader, count: int) -> dict[str, Any]:
     first = reader.file.pages.first.tags[MICRO_MANAGER].value
     found = {"pixel_um": first.get("PixelSizeUm") or None}
     if not reader.file.is_ndtiff:  # whose index knows where pixels are, but not their tags
-        z_um = [reader.page(k).tags[MICRO_MANAGER].value.get("ZPositionUm") for k in range(count)]
+        tags = [reader.page(k).tags.get(MICRO_MANAGER) for k in range(count)]
+        z_um = [None if tag is None else tag.value.get("ZPositionUm") for tag in tags]
         found["z_um"] = None if None in z_um else np.array(z_um, np.float64)
     return found
 
