@@ -15,6 +15,7 @@ from acquire.progress import progress
 from devices.clock import SystemClock
 from devices.errors import InputError
 from processing.align_fiducials import Marks, read_marks
+from processing.align_fill import MADE, bridges, marked
 from processing.align_isotropy import Isotropic, elongation, mapped, shortened, tensors
 from processing.align_mark_search import find_marks
 from processing.align_methods import Method  # noqa: TC001  the command line is made from the annotations
@@ -44,6 +45,7 @@ def align(
     reference: int = 0,
     trend: Trend = "remove",
     isotropic: Isotropic | None = None,
+    interpolate: Annotated[bool, Switch] = False,
     step_um: float | None = None,
     channel: int | None = None,
     time: int = 0,
@@ -78,6 +80,9 @@ def align(
     isotropic
         Take the specimen for one without preferred direction, by its texture or its dark or bright features, and take
         out the compression all sections share with the reference, which neighbours cannot tell. Not with marks.
+    interpolate
+        Draw blank, damaged and unmatched sections from the sound ones beside them, for looking; each is flagged.
+        Without it they stay as they were taken.
     step_um
         Distance of sections in µm; goes before what the file says.
     channel
@@ -96,8 +101,13 @@ def align(
     check_reference(opened, reference)
     work = Work(opened, model, method, fiducials, reference, trend, isotropic, SystemClock())
     alignment, report = work.solved(quiet=quiet)
+    made = bridges(alignment, opened.z_um) if interpolate else {}
+    alignment = marked(alignment, made)
+    report["interpolated"] = {str(k): {"before": b.before, "after": b.after} for k, b in made.items()}
+    report["flags"] = {str(s.index): list(s.flags) for s in alignment.sections if s.flags}
+    report["notes"] += [f"section {k} {FLAGS[MADE]} ({MADE})." for k in made]
     with progress("resampling", len(opened), quiet=quiet) as show:
-        write_alignment(output, opened, alignment, report, show)
+        write_alignment(output, opened, alignment, report, show, made)
     for note in [] if quiet else report["notes"]:
         sys.stderr.write(f"note: {note}\n")
     sys.stdout.write(notation.dumps(report, ensure_ascii=False) + "\n" if json else summary(report, output))

@@ -16,6 +16,7 @@ import tifffile
 import zarr
 
 from acquire.ome_zarr import FocalArray, replace_json, sync_folder
+from processing.align_fill import blended
 from processing.align_pictures import curves_picture, curves_table, sections_picture, sections_table
 from processing.outputs import disk_error, write_durably
 from processing.result_folder import json_bytes
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from processing.align_fill import Bridge
     from processing.align_methods import Method
     from processing.align_stack import Alignment, Section
     from processing.stack import Stack
@@ -106,9 +108,14 @@ def _section(section: Section, alignment: Alignment) -> dict[str, Any]:
 
 
 def write_alignment(
-    folder: Path, stack: Stack, alignment: Alignment, report: Mapping[str, Any], show: Callable[[int], None]
+    folder: Path,
+    stack: Stack,
+    alignment: Alignment,
+    report: Mapping[str, Any],
+    show: Callable[[int], None],
+    made: Mapping[int, Bridge],
 ) -> None:
-    """Resample every section once and write all results.
+    """Resample every section once and write all results; sections in ``made`` are drawn from those beside them.
 
     Raises
     ------
@@ -119,7 +126,7 @@ def write_alignment(
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".part-", dir=folder) as aside:
             part = Path(aside)
-            _write_volumes(part, stack, alignment, show)
+            _write_volumes(part, stack, alignment, show, made)
             write_durably(part / TRANSFORMS, json_bytes(transforms(alignment)))
             write_durably(part / "sections.csv", sections_table(alignment))
             write_durably(part / "sections.png", sections_picture(stack, part / TIFF, alignment))
@@ -140,13 +147,19 @@ def _replace(new: Path, old: Path) -> None:
     new.replace(old)
 
 
-def _write_volumes(part: Path, stack: Stack, alignment: Alignment, show: Callable[[int], None]) -> None:
+def _write_volumes(
+    part: Path, stack: Stack, alignment: Alignment, show: Callable[[int], None], made: Mapping[int, Bridge]
+) -> None:
     layout = _layout(stack)
     array = _zarr_array(part / ZARR, layout, stack, alignment)
 
+    def placed(k: int) -> Array:
+        return resampled(stack[k], alignment.sections[k].matrix)
+
     def planes() -> Iterator[Array]:
-        for k, section in enumerate(alignment.sections):
-            plane = resampled(stack[k], section.matrix)
+        for k in range(len(alignment.sections)):
+            bridge = made.get(k)
+            plane = placed(k) if bridge is None else blended(placed(bridge.before), placed(bridge.after), bridge.share)
             array[0, :, k] = plane[np.newaxis] if plane.ndim == 2 else np.moveaxis(plane, -1, 0)
             show(k + 1)
             yield plane

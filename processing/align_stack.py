@@ -75,6 +75,7 @@ FLAGS = {
     "duplicate": "the same picture as the section before",
     "unconnected": "nothing connects it to the reference section",
     "gap": "sections are missing before it",
+    "interpolated": "is drawn from the sections beside it, as was asked for: to be looked at, not to be measured",
 }
 
 

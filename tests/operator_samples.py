@@ -14,6 +14,8 @@ from scipy import ndimage
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from numpy.typing import NDArray
+
     Layers = dict[str, Any]
     Sample = Callable[[], tuple[Layers, dict[str, Any]]]
 
@@ -60,6 +62,23 @@ def focal_stack() -> Layers:
     return {"volume": volume, "z_um": np.arange(9) * 0.5, "pixel_um": 0.25}
 
 
+def textured(side: int = 64) -> NDArray[np.float32]:
+    made = cv2.GaussianBlur(np.random.default_rng(6).normal(size=(side, side)).astype(np.float32), (0, 0), 2)
+    return 128 + 40 * made / made.std()
+
+
+def moved_sections() -> Layers:
+    """Three faces, each put down elsewhere."""
+    moved = [np.roll(textured(), shift, axis=(0, 1)) for shift in ((0, 0), (2, -3), (-1, 2))]
+    return {"volume": np.clip(moved, 0, 255).astype(np.uint8)}
+
+
+def stereo_pair() -> Layers:
+    """A flat surface two pixels of parallax above the axis."""
+    view = np.clip(textured(), 0, 255).astype(np.uint8)
+    return {"volume": np.stack([np.roll(view, 2, axis=1), view]), "pixel_um": 0.5}
+
+
 def blurred_volume() -> Layers:
     """A bright spot and its blur."""
     z, y, x = np.mgrid[-2:3, -4:5, -4:5]
@@ -102,6 +121,8 @@ FILTERS = ("entropy", "frei_chen", "gradient", "median", "rank", "sobel", "templ
 MASKS = ("mask.fill_holes", "label.components", "distance.map", "watershed.split")
 
 SAMPLES: dict[str, Sample] = {
+    "align.stack": lambda: (moved_sections(), {"model": "translation"}),
+    "stereo.tilt": lambda: (stereo_pair(), {"tilt_deg": 8.0, "band_px": (-3, 5)}),
     **{f"filter.{name}": lambda: (noisy_volume(), {}) for name in FILTERS},
     **{name: lambda: (holed_mask(), {}) for name in MASKS},
     "mask.threshold": lambda: (noisy_volume(), {"method": "li"}),

@@ -176,6 +176,25 @@ def test_without_marks_the_command_warns_and_leaves_the_trend_to_whom_it_is_told
     assert deformation(last).rotation_deg == pytest.approx(0, abs=0.1)
 
 
+def test_a_spoilt_section_is_interpolated_only_when_asked_for_and_marked(tmp_path: Path):
+    sections = made([np.eye(3)] * 4)
+    sections[1] = np.full(SHAPE, 90, np.uint8)
+    tifffile.imwrite(tmp_path / "s.tif", np.stack(sections), photometric="minisblack")
+    seen = {}
+    for extra in ((), ("--interpolate",)):
+        out = tmp_path / f"out{len(extra)}"
+        assert run(["process", "align", str(tmp_path / "s.tif"), "-o", str(out), "--model", "rigid", "-q", *extra]) == 0
+        told = json.loads((out / "report.json").read_text())
+        seen[extra] = tifffile.imread(out / "aligned.ome.tif")[:, 20:-20, 20:-20], told["flags"], told["interpolated"]
+    assert seen[()][1:] == ({"1": ["blank"]}, {})
+    assert np.ptp(seen[()][0][1]) == 0
+    volume, flags, made_of = seen["--interpolate",]
+    assert flags == {"1": ["blank", "interpolated"]}
+    assert made_of == {"1": {"before": 0, "after": 2}}
+    expected = (volume[0].astype(float) + volume[2]) / 2
+    assert np.abs(volume[1] - expected).max() <= 1
+
+
 @pytest.mark.parametrize(
     ("extra", "code"),
     [
