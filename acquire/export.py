@@ -139,7 +139,7 @@ def _pixels(stored: StoredRun, slot: int) -> np.ndarray:
 
 def _ome(stored: StoredRun, grid: Grid) -> dict[str, Any]:
     layout = stored.layout
-    told = [plane_facts(stored, slot) for slot in grid.slots.ravel().tolist()]
+    told = facts_of(stored, grid)
     metadata: dict[str, Any] = {
         "axes": "TCZYXS" if layout.bands > 1 else "TCZYX",
         "Name": stored.manifest["name"],
@@ -163,6 +163,16 @@ def _ome(stored: StoredRun, grid: Grid) -> dict[str, Any]:
             metadata |= {f"PhysicalSize{axis}": layout.pixel_um, f"PhysicalSize{axis}Unit": "µm"}
     missing = [slot for slot in grid.slots.ravel().tolist() if slot not in stored.planes]
     return metadata | ({"Description": f"never taken, black: planes {missing}"} if missing else {})
+
+
+def facts_of(stored: StoredRun, grid: Grid) -> list[dict[str, Any]]:
+    """Return the facts of all planes of an export; of sections along z, the depth is their place, not the stage's."""
+    facts = [plane_facts(stored, slot) for slot in grid.slots.ravel().tolist()]
+    depths = grid.slots.shape[2]
+    if depths > stored.layout.planes_each:
+        for k, told in enumerate(facts):
+            told["z_um"] = grid.start_um + k % depths * grid.step_um
+    return facts
 
 
 def plane_facts(stored: StoredRun, slot: int) -> dict[str, Any]:
@@ -210,7 +220,7 @@ def write_ome_zarr(
 def _zarr_attributes(stored: StoredRun, grid: Grid, version: str) -> dict[str, Any]:
     placed = replace(stored.layout, start_um=grid.start_um, step_um=grid.step_um)
     ome = placed.group_json(str(stored.manifest["name"]))["attributes"]["ome"]
-    own = {"planes": [plane_facts(stored, slot) for slot in grid.slots.ravel().tolist()]}
+    own = {"planes": facts_of(stored, grid)}
     if version == "0.5":
         return {"ome": ome, "stereotome": own}
     return {"multiscales": [{**ome["multiscales"][0], "version": "0.4"}], "omero": ome["omero"], "stereotome": own}

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from acquire.export import export
 from acquire.frame import Frame, FrameHeader
 from acquire.ome_zarr import FocalArray
 from acquire.store import RunEnd, RunStore
@@ -39,8 +40,9 @@ def take(
         count * channels * planes, (32, 40), "uint16", 0.0, 2.0, 0.5,
         sections=count, channels=bands, interval_s=interval_s,
     )  # fmt: skip
+    told = {"plan_id": "t", "name": "t"}
     plan = {} if interval_s else {"sections": {"thickness_nm": 500}}
-    store = RunStore.create(folder, {"plan_id": "t", "plan": plan}, layout, SystemClock())
+    store = RunStore.create(folder, {**told, "plan": plan}, layout, SystemClock())
     store.journal.append({"e": "origin", "depth_nm": 500.0 if first_is_fed else read_back_nm[0], "cuts": 0})
     for section in range(count):
         if section or first_is_fed:
@@ -106,6 +108,15 @@ def test_points_in_time_are_no_depth(tmp_path: Path) -> None:
     assert stack.z_um is None
     assert "along time" in stack.notes[0]
     assert len(open_stack(take(tmp_path / "stacks", planes=4, interval_s=2.0))) == 4
+
+
+@pytest.mark.parametrize("kind", ["ome-tiff", "ome-zarr", "ome-zarr-0.4"])
+def test_an_export_with_sections_along_z_gives_their_depth_and_not_where_the_stage_stood(tmp_path: Path, kind) -> None:
+    path = tmp_path / ("out.ome.tif" if kind == "ome-tiff" else "out.zarr")
+    export(take(tmp_path / "run"), output=path, format_=kind, sections="z", quiet=True)
+    stack = open_stack(path)
+    assert stack.z_um == pytest.approx([0.0, 0.5, 1.0, 1.5])
+    np.testing.assert_array_equal(stack[2], picture(2, 0, 0))
 
 
 @pytest.mark.parametrize("how", ["sharpest", "extended-focus"])
