@@ -154,7 +154,8 @@ def front_and_back_um(drawing: Drawing) -> tuple[float, float]:
 
 def bar(band: Band) -> Bar:
     """Return the colour bar of a band."""
-    return Bar(band_colours(band), band.limits, f"{band.name}, {band.unit}" if band.unit else band.name)
+    limits = band.limits if band.stand_for is None else band.stand_for
+    return Bar(band_colours(band), limits, f"{band.name}, {band.unit}" if band.unit else band.name)
 
 
 def common_words(drawing: Drawing) -> tuple[str, ...]:

@@ -95,16 +95,19 @@ class LiveStack:
         return Volume((Band(shown, limits_of(shown)),), spacing, "µm" if known else "voxels")
 
     def focus(self) -> tuple[Array, Array] | None:
-        """Return extended focus and range (in planes taken) so far; None before there are enough planes."""
+        """Return extended focus and range (µm, as read back) so far; None before there are enough planes."""
         if self._sweep is None or len(self._z_um) < FEWEST or self._planes is None:
             return None
-        planes = [self._planes[k] for k in sorted(self._z_um)]
+        taken = sorted(self._z_um)
+        planes = [self._planes[k] for k in taken]
         if not self._in_order:  # planes came late: the focus is measured anew, in their order
             self._sweep, self._in_order = FocusSweep(self._sweep.shape), True
             for plane in planes:
                 self._sweep.add(plane)
         image = self._sweep.preview()
-        return gather(planes, image, gather_reach(image)), image.range_
+        z_um = [self._z_um[k] for k in taken]
+        range_um = np.interp(image.range_, np.arange(len(z_um)), z_um).astype(np.float32)
+        return gather(planes, image, gather_reach(image)), range_um
 
     def _begin(self, pixels: Array, section: int) -> None:
         self._planes = np.zeros((ROOM, *pixels.shape), pixels.dtype)
@@ -122,8 +125,8 @@ class LiveStack:
         return True
 
 
-def range_band(range_planes: Array) -> Band:
-    """Return a range image as a band of one plane, in colours."""
-    low, high = float(range_planes.min()), float(range_planes.max())
-    levels = np.rint((range_planes - low) * (65535 / max(high - low, 1e-6))).astype(np.uint16)
-    return Band(levels[None], (0, 65535), "range so far", colour=RANGE_COLOURS)
+def range_band(range_um: Array) -> Band:
+    """Return a range image as a band of one plane, in colours; its bar is in µm."""
+    low, high = float(range_um.min()), float(range_um.max())
+    levels = np.rint((range_um - low) * (65535 / max(high - low, 1e-6))).astype(np.uint16)
+    return Band(levels[None], (0, 65535), "range so far", "µm", RANGE_COLOURS, stand_for=(low, high))

@@ -40,6 +40,8 @@ class Band:
     colour : str or tuple of (value, r, g, b)
         Colour table by name, the colour of full as ``#rrggbb`` (nothing is black), or sRGB colours, 0 to 1, of values,
         with straight lines between.
+    stand_for : (float, float), optional
+        What the limits stand for, where values are codes of something else; the colour bar shows these.
     """
 
     values: Array
@@ -47,6 +49,7 @@ class Band:
     name: str = "grey level"
     unit: str = ""
     colour: str | tuple[tuple[float, float, float, float], ...] = "gray"
+    stand_for: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -89,7 +89,7 @@ def view(
     stereo
         How two views are shown.
     pixel_um
-        Size of a pixel in the specimen, for a live stack.
+        Size of a pixel in the specimen, for a live stack; goes before what the instrument file says.
     step_um
         Distance of planes; goes before what the file says.
     screenshot
@@ -109,6 +109,7 @@ def view(
     with ExitStack() as open_:
         if feed is not None:
             open_.callback(feed.close)
+            pixel_um = pixel_um or feed.pixel_um
         window = Window(f"Stereotome: {source}", (width, height))
         open_.callback(window.close)
         flip = _flip((width, height), flipping, open_) if stereo == "page-flip" else None
@@ -149,6 +150,7 @@ class Feed:
 
     def __init__(self, instrument: Instrument) -> None:
         self.viewer = instrument.viewer()
+        self.pixel_um = instrument.instrument().object_pixel_um
         self._instrument = instrument
         self._run: StoredRun | None = None
         self._looked_s = float("-inf")

@@ -62,12 +62,14 @@ def test_focus_and_range_so_far_follow_the_sharpest_plane():
     for plane in range(7):
         blur = np.full((40, 40), int(texture.mean()), np.uint16)
         pixels = texture if plane == 4 else (0.7 * blur + 0.3 * texture).astype(np.uint16)
-        header = FrameHeader(plane=plane, setpoint_um=plane, z_um=float(plane), exposure_ms=1.0)
+        header = FrameHeader(plane=plane, setpoint_um=plane, z_um=-30 + 2.5 * plane, exposure_ms=1.0)
         stack.take(Frame(plane, header, pixels))
-    focused, range_planes = stack.focus()
-    assert np.median(range_planes) == pytest.approx(4, abs=0.3)
+    focused, range_um = stack.focus()
+    assert np.median(range_um) == pytest.approx(-30 + 2.5 * 4, abs=0.8)
     assert np.corrcoef(focused.ravel(), texture.ravel())[0, 1] > 0.95
-    assert range_band(range_planes).values.shape == (1, 40, 40)
+    band = range_band(range_um)
+    assert band.values.shape == (1, 40, 40)
+    assert (band.stand_for, band.unit) == ((range_um.min(), range_um.max()), "µm")
 
 
 def test_planes_that_were_missed_come_from_the_folder_of_the_run():
