@@ -1,14 +1,12 @@
 """What tests share."""
 
-import os
 import signal
-import threading
-import tty
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+from pty_twin import OnPty
 
 from devices.clock import SystemClock
 from sim.controllers.open3d import Emitter
@@ -63,24 +61,8 @@ def rig(tmp_path):
 def emitter():
     """An emitter behind a pseudo-terminal: the twin and the port's name."""
     twin = Emitter(SystemClock())
-    master, slave = os.openpty()
-    tty.setraw(master)
-    tty.setraw(slave)
-
-    def serve():
-        data = b""
-        while not data.endswith(b"\0"):  # what was said last may lie before it
-            data = os.read(master, 4096)
-            for reply in twin.feed(data.rstrip(b"\0")):
-                os.write(master, reply)
-
-    thread = threading.Thread(target=serve)
-    thread.start()
-    yield twin, f'driver = "open3d"\nport = "{os.ttyname(slave)}"'
-    os.write(slave, b"\0")
-    thread.join()
-    os.close(master)
-    os.close(slave)
+    with closing(OnPty(twin.feed)) as far:
+        yield twin, f'driver = "open3d"\nport = "{far.port}"'
 
 
 @pytest.fixture(scope="module")

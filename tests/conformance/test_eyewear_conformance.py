@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import os
-import threading
-import tty
 from contextlib import closing
 
 import pytest
+from pty_twin import OnPty
 
 from devices.clock import SystemClock
 from devices.drivers import modem_glasses, open3d
@@ -36,29 +34,6 @@ def emitter_spec(port="x", **keys):
 
 def lines_spec(port="x", **keys):
     return GlassesSpec.model_validate({"driver": "modem-lines", "port": port, **keys})
-
-
-class OnPty:
-    """The emitter's twin behind a pseudo-terminal."""
-
-    def __init__(self, feed):
-        self.master, self.slave = os.openpty()
-        tty.setraw(self.master)
-        tty.setraw(self.slave)
-        self.port = os.ttyname(self.slave)
-        self.thread = threading.Thread(target=self.serve, args=[feed])
-        self.thread.start()
-
-    def serve(self, feed):
-        while (data := os.read(self.master, 4096)) != b"\0":
-            for reply in feed(data):
-                os.write(self.master, reply)
-
-    def close(self):
-        os.write(self.slave, b"\0")
-        self.thread.join()
-        os.close(self.master)
-        os.close(self.slave)
 
 
 def emitter_on_simulated_time():
