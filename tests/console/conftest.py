@@ -29,9 +29,8 @@ na = 0.45
 driver = "asi-ms2000"
 port = "filled in by the bench"
 baud = 115200
-limits = { min_um = -100.0, max_um = 100.0 }
+limits = { min_um = -5000.0, max_um = 5000.0 }
 park_um = -80.0
-speed_um_s = 5000.0
 """
 BLOCK = BENCH.replace("[48, 40]", "[160, 128]") + '\n[sim]\nspecimen = "block"\nseed = 11\n'
 HAND = Path(__file__).with_name("hand.py")
@@ -62,11 +61,11 @@ def screen():
 
 @pytest.fixture(scope="module")
 def knife_server(tmp_path_factory):
-    """The instrument process of a bench with a knife, on whose third face debris falls."""
+    """That of a bench with a knife: debris falls on the third face, the specimen is lost from the sixth on."""
     folder = tmp_path_factory.mktemp("knife")
     rig = folder / "rig.toml"
     rig.write_text(BLOCK if PICTURES is None else BLOCK.replace("[160, 128]", "[480, 384]"))
-    bench = SimBench([str(rig), "--dir", str(folder / "b"), "--fault", "block.debris@3"])
+    bench = SimBench([str(rig), "--dir", str(folder / "b"), "--fault", "block.debris@3", "--fault", "block.lost@6"])
     with served(bench.instrument) as server:
         yield server
     bench.close()

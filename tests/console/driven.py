@@ -4,7 +4,8 @@ import os
 import signal
 from dataclasses import replace
 
-from hand import KEY, MENU
+from hand import KEY
+from imgui_bundle import imgui
 
 from display.console.tour import Tour
 
@@ -21,7 +22,7 @@ def first_run(hand):
     hand.ctx.mouse_move("//Live/picture")
     hand.ctx.mouse_wheel_y(-3)
     hand.at(-2.0)
-    hand.enter("//Stage/µm", 500.0)
+    hand.enter("//Stage/µm", 50_000.0)
     hand.click("//Stage/Go")
     hand.wait(lambda: "[limit]" in console.notice)
     for z_um, key in ((-10.0, KEY.b), (10.0, KEY.t)):
@@ -54,14 +55,7 @@ def first_run(hand):
     hand.key(KEY.r | KEY.mod_ctrl)
     hand.click("//Review before the start/Start now")
     hand.wait(lambda: console.run.number == 2 and console.run.state == "COMPLETED" and not console.running)
-    hand.ctx.item_input("//Stage/µm")
-    hand.ctx.key_chars("12")
-    hand.key(KEY.escape)
-    hand.wait(lambda: console.state.stopped)
-    assert "STOP" in console.why_no_motion()
-    hand.shot("console_stopped")
-    hand.click(MENU, "Release")
-    hand.wait(lambda: not console.stopped)
+    stops(hand)
     console.tour = Tour("", started=True, lively=True)
     hand.click("//Tour/Next")
     hand.wait(lambda: console.tour.step == 1)
@@ -74,15 +68,42 @@ def first_run(hand):
     crash(hand)
 
 
+def stops(hand):
+    """Press Esc when idle, while typing, with a list open, while jogging, while a stack runs and while it is paused."""
+    console = hand.console
+    hand.stop()
+    hand.ctx.item_input("//Stage/µm")
+    hand.ctx.key_chars("12")
+    hand.stop(shot="console_stopped")
+    hand.ctx.item_click("//Stage/step")
+    hand.wait(lambda: imgui.is_popup_open("", imgui.PopupFlags_.any_popup))
+    hand.stop()
+    console.jogger.steps[-1], console.jogger.chosen = ("farther", 450.0), len(console.jogger.steps) - 1
+    from_um = console.state.z_um
+    hand.key(KEY.page_up | KEY.mod_ctrl)
+    hand.wait(lambda: console.state.z_um > from_um + 1)
+    hand.stop()
+    assert from_um + 1 < console.state.z_um < from_um + 4499  # it never got there
+    hand.enter("//Stack/planes", 400)
+    for paused in (False, True):
+        hand.start()
+        hand.wait(lambda: console.run.taken > 1)
+        if paused:
+            hand.click("//Stack/Pause")
+            hand.wait_state("PAUSED")
+        hand.stop()
+        assert console.run.state == "CANCELLED"
+        assert 0 < console.run.durable < 400
+
+
 def crash(hand):
     """Start a run, then die as a crash does."""
     console = hand.console
     console.form.exposure_ms = 40.0  # a run that lasts
     hand.enter("//Stack/planes", 300)
     hand.wait(lambda: getattr(console.planned, "planes", 0) == 300)
-    hand.key(KEY.r | KEY.mod_ctrl)
-    hand.click("//Review before the start/Start now")
-    hand.wait(lambda: console.running and console.run.taken > 5)
+    hand.start()
+    hand.wait(lambda: console.run.taken > 5)
     os.kill(os.getpid(), signal.SIGKILL)
 
 
@@ -92,7 +113,7 @@ def picks_up(hand):
     hand.wait(lambda: hand.console.eyes.seen)
     hand.shot("console_200")
     hand.click("//Stack/Resume")
-    hand.wait_state("COMPLETED")
+    hand.wait_state("RUNNING")
 
 
 def sections(hand):
@@ -118,14 +139,18 @@ def sections(hand):
     hand.shot("console_sections")
     console.form.marks.top_um, console.form.marks.bottom_um, console.form.planes = 2.0, -2.0, 3
     hand.wait(lambda: getattr(console.planned, "planes", 0) == 9 and not console.why_no_start())
-    hand.key(KEY.r | KEY.mod_ctrl)
-    hand.shot("console_sections_review")
-    hand.click("//Review before the start/Start now")
-    hand.wait(lambda: console.run is not None and console.run.question is not None)
+    hand.start(shot="console_sections_review")
+    hand.wait(lambda: console.run.question is not None)
     hand.shot("console_hold")
     hand.click("//The run asks/accept")
     hand.wait_state("COMPLETED")
     hand.wait(lambda: not console.running)
+    reviews(hand)
+    stops_sections(hand)
+
+
+def reviews(hand):
+    """Look at the last run in three kinds of picture and two of stereo."""
     hand.ctx.window_focus("//Review")
     hand.click("//Review/Last run")
     panel = hand.window.review
@@ -135,3 +160,18 @@ def sections(hand):
         assert not panel.reviewer.problem
         assert panel.reviewer.drawn.picture.std() > 5
         hand.shot(f"console_review_{mode}")
+
+
+def stops_sections(hand):
+    """Press Esc while a run asks, and while sections are cut."""
+    console = hand.console
+    hand.ctx.window_focus("//Sections")
+    hand.start()
+    hand.wait(lambda: console.run.question is not None)
+    hand.stop()
+    assert console.run.state == "CANCELLED"
+    hand.start()
+    hand.wait(lambda: console.run.taken > 0)
+    hand.stop()
+    assert console.run.state == "CANCELLED"
+    assert console.run.section < 3

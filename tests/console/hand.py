@@ -72,6 +72,27 @@ class Hand:
         """Press a key."""
         self.ctx.key_press(chord)
 
+    def start(self, shot=""):
+        """Start what the form says, once it is planned."""
+        before = 0 if self.console.run is None else self.console.run.number
+        self.wait(lambda: not self.console.why_no_start())
+        self.key(KEY.r | KEY.mod_ctrl)
+        if shot:
+            self.shot(shot)
+        self.click("//Review before the start/Start now")
+        self.wait(lambda: self.console.run is not None and self.console.run.number > before)
+
+    def stop(self, shot=""):
+        """Press Esc, see that everything stands, and release."""
+        console = self.console
+        self.key(KEY.escape)
+        self.wait(lambda: console.state.stopped and not console.running)
+        assert "STOP" in console.why_no_motion()
+        if shot:
+            self.shot(shot)
+        self.click(MENU, "Release")
+        self.wait(lambda: not console.stopped)
+
     def shot(self, name):
         """Take a picture of the window."""
         self.ctx.yield_(2)

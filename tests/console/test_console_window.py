@@ -29,12 +29,11 @@ def test_an_operator_takes_stacks_and_a_console_that_crashes_leaves_the_run_goin
     assert (stored.state, stored.missing) == (RunEnd.COMPLETED, [])
 
 
-def test_sections_by_hand_and_in_a_run_that_asks_and_their_review(drive, knife_server):
+def test_sections_by_hand_and_in_a_run_that_asks_and_their_review(drive, knife_server, tmp_path):
     code, said = drive("sections", knife_server)
     assert code == 0, said
-    with Instrument.connect(knife_server.connection) as looker:
-        run = looker.wait_for_run(PATIENCE_S)
-    stored = open_run(Path(run.folder))
-    assert (stored.state, stored.missing, run.sections) == (RunEnd.COMPLETED, [], 3)
+    stored, held, cut_short = (open_run(folder) for folder in sorted(tmp_path.glob("run-*")))
+    assert (stored.state, stored.missing, stored.layout.sections) == (RunEnd.COMPLETED, [], 3)
+    assert held.state == cut_short.state == RunEnd.CANCELLED
     asked = [record for record in stored.records if record["e"] == "hold"]
     assert len(asked) == 1
