@@ -16,7 +16,7 @@ from devices.errors import InputError
 from processing.focus_kernels import BLOCK, blend, mean_of
 from processing.focus_pyramid import SoftPyramid
 from processing.focus_tracks import Measured, Method, one_band, read_only, track_for
-from processing.focus_windows import HALO, WINDOWS
+from processing.focus_windows import CONFIDENT, HALO, WINDOWS
 from processing.registration import SMALLEST_SIDE, RegisteredPlanes, placements, typical_step
 
 if TYPE_CHECKING:
@@ -28,12 +28,11 @@ if TYPE_CHECKING:
 
     Array = NDArray[Any]
 
-CONFIDENT = 0.8
 REGISTER_FROM_PX = 1.0
 GATHER_SHARE = 0.45  # depth over which planes are averaged, to either side, as a share of the focus curve's width
 SHARPNESS = frozenset({"brightfield", "transparent"})
 SMALLEST_STACK = 3  # with fewer planes there is no peak to speak of
-NOISE_ROWS = 32  # every 32nd row is enough to estimate the camera's noise
+NOISE_SAMPLES = 32768  # responses of the mask from which the camera's noise is estimated
 MASK_GAIN = 6.0  # of the mask [1 -2 1]⊗[1 -2 1] for white noise
 WEAKER_HALF = 0.3247  # mean absolute value of the weaker half of normal deviates
 ROUNDING = 12**-0.5
@@ -406,7 +405,8 @@ def plane_noise(plane: Array) -> float:
     """
     if min(plane.shape[:2]) < 3:
         return ROUNDING
-    above, row, below = (plane[i : plane.shape[0] - 2 + i : NOISE_ROWS].astype(np.float32) for i in range(3))
+    every = max(1, plane.shape[0] * plane.shape[1] // NOISE_SAMPLES)
+    above, row, below = (plane[i : plane.shape[0] - 2 + i : every].astype(np.float32) for i in range(3))
     down = above - 2 * row + below
     response = np.abs(down[:, :-2] - 2 * down[:, 1:-1] + down[:, 2:]).reshape(-1)
     half = max(1, response.size // 2)

@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, TypedDict
 
 import cv2
 import numpy as np
+from scipy.stats import binom
 
 from devices.errors import InputError
 from processing.focus_kernels import first_above, gradient_energy, halve, nearest_plane
-from processing.focus_windows import NOISE_ENERGY, WINDOWS, PeakTrack, doubled, guarded, half_shape, merge
+from processing.focus_windows import CONFIDENT, NOISE_ENERGY, WINDOWS, PeakTrack, doubled, guarded, half_shape, merge
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,6 +21,10 @@ Method = Literal["brightfield", "transparent", "confocal", "threshold"]
 
 PEAK_OF_NOISE = 6.0  # standard deviations that noise reaches above its mean somewhere in a stack, and some more
 BINOMIAL = np.array([1, 4, 6, 4, 1], np.float32) / 16
+AROUND = 2  # pixels to either side whose brightest planes must agree
+BY_CHANCE = 0.01  # of the pixels may have so many that agree by chance
+NOWHERE = -9
+FEW_PLANES = 12  # in fewer, neighbouring planes agree too often by chance to count
 MOST_GAIN = 2.0  # larger changes of brightness are no flicker
 
 
@@ -108,7 +113,7 @@ class SharpTrack:
 
     def measured(self, z: NDArray[np.float64], noise: float) -> Measured:
         """Return position, confidence, width and plane of the sharpest focus."""
-        merged = guarded(merge([window.fit(z) for window in self._windows], NOISE_ENERGY * noise**2))
+        merged = guarded(merge([window.fit(z) for window in self._windows], NOISE_ENERGY * noise**2, z.size))
         position, confidence, width = (doubled(a, self._shape) for a in merged[:3])
         plane = np.empty(self._shape, np.uint16)
         nearest_plane(position.reshape(-1), z, plane.reshape(-1))
@@ -135,12 +140,44 @@ class BrightTrack:
         self._peak.add(light, k)
 
     def measured(self, z: NDArray[np.float64], noise: float) -> Measured:
-        """Brightness of a pixel nothing shines in peaks somewhere, too: noise counts against the confidence."""
+        """Brightness of a pixel nothing shines in peaks somewhere, too: noise counts against the confidence.
+
+        The noise of few photons is no cloud about a mean: what is left of it peaks in any plane, whatever the
+        neighbours do, and is not sure for that.
+        """
         assert self._peak is not None
-        fit = self._peak.fit(z)
+        fit, plane = self._peak.fit(z), self._peak.plane
         mean = fit.top / (1 + fit.confidence)
         confidence = (fit.top - mean) / np.maximum(mean + PEAK_OF_NOISE * self._gain * noise, 1e-6)
-        return Measured(fit.position, confidence.astype(np.float32), fit.width, self._peak.plane)
+        agree = agreement(np.where(confidence > 0, plane.astype(np.int32), NOWHERE), z.size)
+        judged = np.where(agree < 1, np.minimum(confidence, CONFIDENT) * agree, confidence)
+        return Measured(fit.position, judged.astype(np.float32), fit.width, plane)
+
+
+def agreement(plane: Array, planes: int) -> NDArray[np.float32]:
+    """How many of 24 pixels around have their peak where a pixel has, over what chance would make of them.
+
+    Parameters
+    ----------
+    plane : array (height, width) int
+        Where every pixel has its peak, of ``planes``; `NOWHERE` without one.
+
+    Returns
+    -------
+    array float32
+        1 and more where chance does so in less than `BY_CHANCE` of the pixels.
+    """
+    reach = max(planes // (2 * FEW_PLANES), int(planes >= FEW_PLANES))
+    needed = 1 + binom.ppf(1 - BY_CHANCE, (2 * AROUND + 1) ** 2 - 1, min(1.0, (2 * reach + 1) / planes))
+    alike = np.zeros(plane.shape, np.uint8)
+    height, width = plane.shape
+    for down, right in [(a, b) for a in range(AROUND + 1) for b in range(-AROUND, AROUND + 1) if (a, b) > (0, 0)]:
+        here = np.s_[: height - down, max(0, -right) : min(width, width - right)]
+        there = np.s_[down:, max(0, right) : min(width, width + right)]
+        same = np.abs(plane[here] - plane[there]) <= reach
+        alike[here] += same
+        alike[there] += same
+    return (alike / np.float32(needed)).astype(np.float32)
 
 
 class FirstTrack:

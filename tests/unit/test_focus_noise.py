@@ -124,6 +124,31 @@ def test_featureless_stack_claims_nothing():
     assert not focus_stack(np.full((5, 64, 64), 9, np.uint8)).confidence.any()
 
 
+@pytest.mark.parametrize("method", ["brightfield", "confocal"])
+@pytest.mark.parametrize("mean", [0.0, 100.0])
+def test_noise_alone_is_sure_nowhere(method, mean):
+    light = np.random.default_rng(11).normal(mean, 3, (120, 96, 96))
+    result = focus_stack(list(np.clip(np.rint(light), 0, 255).astype(np.uint8)), method=method)
+    assert result.share_confident < 0.02
+
+
+def test_light_of_few_photons_is_not_sure_and_a_bright_sheet_within_it_is():
+    light = 20 * np.random.default_rng(12).poisson(0.02, (40, 96, 96))
+    light[12, 30:60, 30:60] += 150
+    result = focus_stack(list(np.clip(light, 0, 255).astype(np.uint8)), method="confocal")
+    sure = result.confidence >= 0.8
+    assert sure[31:59, 31:59].all()
+    assert np.delete(sure, np.s_[28:62], axis=0).mean() < 0.01
+
+
+def test_a_window_that_reaches_a_grain_says_nothing_of_the_dark_beside_it():
+    planes = np.full((15, 128, 160), 10, np.uint8)
+    planes[7, 60:68, 60:68] = 200
+    sure = focus_stack(list(planes)).confidence >= 0.8
+    assert sure[60:68, 60:68].all()
+    assert not sure[:, 108:].any()
+
+
 def test_faint_patch_is_filled_from_around():
     planes, z, _ = clean_stack()
     result = focus_stack(seen(planes))
