@@ -94,7 +94,7 @@ class RayMode:
         uniforms: dict[str, Any],
         *,
         table: Array | None = None,
-        lit: Array | None = None,
+        lit: Bricks | None = None,
     ) -> NDArray[np.float32]:
         """Cast one band exactly, or while the picture moves by shearing where that shows the same."""
         bricks, numbers = bricks_of(canvas, band), casting(band, uniforms)

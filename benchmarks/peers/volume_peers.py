@@ -207,7 +207,7 @@ def oblique() -> None:
     from display.resolve import resolve
 
     values = cells(SIDE)
-    volume, padded = Volume((Band(values, (0, FULL)),)), make_bricks(values).padded
+    volume, bricks = Volume((Band(values, (0, FULL)),)), make_bricks(values)
     image = vtk.vtkImageData()
     image.SetDimensions(*values.shape[::-1])
     image.GetPointData().SetScalars(numpy_to_vtk(values.ravel(), deep=True))
@@ -224,7 +224,7 @@ def oblique() -> None:
         planes = in_voxels(np.array([oblique_plane(drawing)]), volume)
         box = bounds(volume, ((0, 1),) * 3)
         rays_ = rays(drawing.camera, volume)
-        return cut_planes(padded, rays_, box, SIZE, planes, limits=(0, FULL), transparent=-1e9, smooth=True)
+        return cut_planes(bricks, rays_, box, SIZE, planes, limits=(0, FULL), transparent=-1e9, smooth=True)
 
     def theirs(angle):
         turn = vtk.vtkTransform()

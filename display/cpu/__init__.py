@@ -19,13 +19,20 @@ if TYPE_CHECKING:
 ROWS = 16  # of a picture, done by one thread at a time
 
 
+OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": True, "error_model": "numpy", "_nrt": False}
+
+
 def fast(function: Function) -> Function:
     """Compile to machine code that frees the interpreter, may reorder sums, and makes no arrays; kept on disk.
 
     Arrays that are handed on are not counted (``_nrt``): counting takes longer than a sample.
     """
-    options: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": True, "error_model": "numpy", "_nrt": False}
-    return as_type("Function", numba.njit(**options)(function))
+    return as_type("Function", numba.njit(**OPTIONS)(function))
+
+
+def inlined(function: Function) -> Function:
+    """Compile as `fast` does, into whatever calls it: to hand many arrays on takes longer than a few samples."""
+    return as_type("Function", numba.njit(**OPTIONS, forceinline=True)(function))
 
 
 @cache

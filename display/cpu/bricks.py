@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 SIDE = 8
+WORD = 4  # bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +26,7 @@ class Bricks:
     ----------
     padded : array (z + 2, y + 2, x + 2)
         The outermost voxels are there twice, so that no sample inside the volume needs a look at its borders.
-    low, high : array (bz, by, bx)
+    low, high : array (bz, by, bx) float32
         Extremes of all values that samples in a brick of 8³ can touch; brick 0 begins at index 0 of ``padded``.
     """
 
@@ -33,10 +34,16 @@ class Bricks:
     low: Array
     high: Array
 
+    @property
+    def words(self) -> NDArray[np.uint32]:
+        """What stands at each voxel and the next along x in one number, (voxels,); little end first, as it is kept."""
+        size = self.padded.itemsize
+        return np.ndarray((self.padded.size,), "<u4", self.padded.base, 0, (size,))
+
 
 def make_bricks(values: Array) -> Bricks:
     """Copy a volume (z, y, x) into a rim, and find the extremes of its bricks."""
-    padded = np.empty(tuple(n + 2 for n in values.shape), values.dtype)
+    padded = roomy(tuple(n + 2 for n in values.shape), values.dtype)
     padded[1:-1, 1:-1, 1:-1] = values
     for axis in range(3):
         for rim, inside in ((0, 1), (-1, -2)):
@@ -46,9 +53,15 @@ def make_bricks(values: Array) -> Bricks:
             source[axis] = inside  # type: ignore[call-overload]
             padded[tuple(at)] = padded[tuple(source)]
     shape = tuple(-(-n // SIDE) for n in padded.shape)
-    low, high = np.empty(shape, values.dtype), np.empty(shape, values.dtype)
+    low, high = np.empty(shape, np.float32), np.empty(shape, np.float32)
     over_rows(shape[0], lambda first, last: extremes(padded, first, last, low, high))
     return Bricks(padded, low, high)
+
+
+def roomy(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
+    """Return an array behind whose end a word may be read."""
+    count = int(np.prod(shape))
+    return np.empty(count * dtype.itemsize + WORD, np.uint8)[: count * dtype.itemsize].view(dtype).reshape(shape)
 
 
 @fast
@@ -56,8 +69,8 @@ def extremes(padded: Array, first: int, last: int, low: Array, high: Array) -> N
     """Find the extremes of layers of bricks, each with the one voxel beyond that interpolation touches."""
     depth, height, width = padded.shape
     for bz in range(first, last):
-        low[bz] = np.iinfo(padded.dtype).max
-        high[bz] = 0
+        low[bz] = np.inf
+        high[bz] = -np.inf
         for z in range(bz * SIDE, min(bz * SIDE + SIDE + 1, depth)):
             for y in range(height):
                 row = padded[z, y]

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from display.cpu import fast, over_rows
-from display.cpu.cast import TINY, trilinear
+from display.cpu.sampling import TINY, Grid, grid, trilinear, voxel_at
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from display.cpu.bricks import Bricks
     from display.rays import Rays
 
     Array = NDArray[Any]
@@ -20,7 +21,7 @@ HAIR = 1e-4  # voxels outside that still count as inside
 
 
 def cut_planes(
-    padded: Array,
+    bricks: Bricks,
     rays: Rays,
     box: tuple[Array, Array],
     size: tuple[int, int],
@@ -34,8 +35,8 @@ def cut_planes(
 
     Parameters
     ----------
-    padded : array (z + 2, y + 2, x + 2)
-        See `display.cpu.bricks`.
+    bricks : Bricks
+        The volume.
     planes : array (planes, 7)
         Normal and distance, n · p = d in voxels, and what is added to a point to find its value.
     transparent : float
@@ -50,20 +51,21 @@ def cut_planes(
     eye = np.zeros(3) if rays.eye is None else rays.eye
     geometry = np.stack([rays.corner, rays.right, rays.down, rays.along, eye, rays.voxel_um, *box])
     scale = np.array([limits[0], 1 / (limits[1] - limits[0]), transparent, rays.eye is not None, smooth], np.float64)
-    over_rows(size[1], lambda first, last: cut_rows(padded, geometry, scale, planes, first, last, seen))
+    drawn = grid(bricks)
+    over_rows(size[1], lambda first, last: cut_rows(drawn, geometry, scale, planes, first, last, seen))
     return seen
 
 
 @fast
-def cut_rows(padded: Array, geometry: Array, scale: Array, planes: Array, first: int, last: int, seen: Array) -> None:
+def cut_rows(drawn: Grid, geometry: Array, scale: Array, planes: Array, first: int, last: int, seen: Array) -> None:
     """Cut the planes along the rays of some rows."""
     for j in range(first, last):
         for k in range(planes.shape[0]):
-            cut_row(padded, geometry, scale, planes, k, j, seen)
+            cut_row(drawn, geometry, scale, planes, k, j, seen)
 
 
 @fast
-def cut_row(padded: Array, geometry: Array, scale: Array, planes: Array, number: int, j: int, seen: Array) -> None:
+def cut_row(drawn: Grid, geometry: Array, scale: Array, planes: Array, number: int, j: int, seen: Array) -> None:
     """Lay one plane into one row, where it is nearer than what is there and not transparent.
 
     All numbers are read before the loop: in it the compiler must suppose that what is written changes them.
@@ -106,17 +108,17 @@ def cut_row(padded: Array, geometry: Array, scale: Array, planes: Array, number:
             continue
         if (perspective and t <= -1) or (seen[j, i, 2] > 0 and way >= seen[j, i, 1]):
             continue
-        value = (value_at(padded, x, y, z, smooth) - low) * per_value
+        value = (value_at(drawn, x, y, z, smooth) - low) * per_value
         if value >= transparent:
             seen[j, i, 0], seen[j, i, 1] = min(max(value, 0.0), 1.0), way
             seen[j, i, 2], seen[j, i, 3] = 1.0, number
 
 
 @fast
-def value_at(padded: Array, x: float, y: float, z: float, smooth: bool) -> Any:  # noqa: FBT001
-    """Return the value at a point in indices of ``padded``, interpolated or that of the voxel it lies in."""
+def value_at(drawn: Grid, x: float, y: float, z: float, smooth: bool) -> Any:  # noqa: FBT001
+    """Return the value at a point in indices of ``drawn``, interpolated or that of the voxel it lies in."""
     if smooth:
-        return trilinear(padded, np.float32(x), np.float32(y), np.float32(z))
-    depth, height, width = padded.shape
+        return trilinear(drawn, np.float32(x), np.float32(y), np.float32(z))
     i, j, k = int(x + 0.5), int(y + 0.5), int(z + 0.5)
-    return np.float32(padded[min(max(k, 1), depth - 2), min(max(j, 1), height - 2), min(max(i, 1), width - 2)])
+    i, j, k = min(max(i, 1), drawn.width - 2), min(max(j, 1), drawn.height - 2), min(max(k, 1), drawn.depth - 2)
+    return voxel_at(drawn, i, j, k)

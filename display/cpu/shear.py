@@ -15,20 +15,18 @@ import numpy as np
 from display.cpu import fast, over_rows
 from display.cpu.bricks import SIDE, Bricks
 from display.cpu.cast import (
-    FAR,
     LAST_ENTRY,
     LIGHT,
-    LOW,
     MAX,
     MIN,
     OPAQUE,
-    PER_VALUE,
-    START,
     SUM,
     finer,
     first_opaque,
     flat,
+    seen_above,
 )
+from display.cpu.sampling import FAR, LOW, PER_VALUE, START
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -175,12 +173,11 @@ def shear_rows(
 
 
 @fast
-def seen_above(kind: int, numbers: Array, table: Array) -> float:
+def shown_above(kind: int, numbers: Array, table: Array) -> float:
     """Return what a brick's highest value (or its lowest, times -1) must exceed so that anything is seen of it."""
     if kind == MIN:
         return float(-(numbers[LOW] + 1 / numbers[PER_VALUE]))
-    share = (first_opaque(table) - 0.5) / LAST_ENTRY if kind == LIGHT else 0.0
-    return float(numbers[LOW] + share / numbers[PER_VALUE])
+    return float(seen_above(first_opaque(table), numbers) if kind == LIGHT else numbers[LOW])
 
 
 @fast
@@ -196,7 +193,7 @@ def lay_plane(
     row: Array,
 ) -> None:
     """Lay a row of a plane behind what is there, leaping over bricks that show nothing."""
-    sign, least = (-1 if kind == MIN else 1), seen_above(kind, numbers, table)
+    sign, least = (-1 if kind == MIN else 1), shown_above(kind, numbers, table)
     k, j, moved = int(plane[0]), int(y), int(np.floor(plane[1]))
     end = min(row.size // 4, int(np.floor(shown[1] - plane[1])) + 1)
     near, far, extremes = volume[k, j], volume[k, j + 1], bounds[k // SIDE, j // SIDE]

@@ -106,9 +106,9 @@ class Translucent(LitMode):
         self, canvas: Canvas, drawing: Drawing, band: Band, seen_by: Rays, uniforms: dict[str, Any]
     ) -> NDArray[np.float32]:
         lit = reaching(canvas, drawing, band)
-        padded = None if lit is None else canvas.keep("lit", (lit,), lambda: make_bricks(lit)).padded
+        light = None if lit is None else canvas.keep("lit", (lit,), lambda: make_bricks(lit))
         table = transfer_of(canvas, drawing, band)
-        return self.cast_with(canvas, drawing, band, seen_by, uniforms, table=table, lit=padded)
+        return self.cast_with(canvas, drawing, band, seen_by, uniforms, table=table, lit=light)
 
     def legend(self, drawing: Drawing) -> Legend:  # noqa: D102
         words = common_words(drawing)

@@ -59,9 +59,9 @@ class PlaneMode:
         textures = {"table": band_table(canvas, band)}
         blend: Any = "add" if len(drawing.data.bands) > 1 else "over"
         if canvas.executor == "cpu":
-            padded = bricks_of(canvas, band).padded
+            bricks = bricks_of(canvas, band)
             size = drawing.camera.size
-            seen = cut_planes(padded, seen_by, box, size, cuts, limits=band.limits, transparent=least, smooth=smooth)
+            seen = cut_planes(bricks, seen_by, box, size, cuts, limits=band.limits, transparent=least, smooth=smooth)
             textures["seen"] = canvas.picture(seen, smooth=False)
             canvas.fill("cut.frag.glsl", uniforms=uniforms, textures=textures, defines=defines, blend=blend)
             return
