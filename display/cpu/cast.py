@@ -374,7 +374,7 @@ def shine(
 ) -> None:
     """Add light and absorption along a ray, front to back, and a surface at the threshold if wanted."""
     lowest, walls = first_opaque(table), numbers[SURFACE] > 0
-    least = seen_above(lowest, numbers)
+    least = seen_above(table, numbers)
     if walls:
         least = min(least, numbers[LOW] + numbers[THRESHOLD] / numbers[PER_VALUE] - BARELY)
     count = walk(room, bounds, line)
@@ -390,9 +390,9 @@ def shine(
 
 
 @fast
-def seen_above(lowest: int, numbers: Array) -> Any:
-    """Return what values must exceed to have the lowest entry of a table or a later one."""
-    return numbers[LOW] + (lowest - 0.5) / LAST_ENTRY / numbers[PER_VALUE]
+def seen_above(table: Array, numbers: Array) -> Any:
+    """Return what values must exceed to have an entry of a table that absorbs."""
+    return numbers[LOW] + (first_opaque(table) - 0.5) / (table.shape[0] - 1) / numbers[PER_VALUE]
 
 
 @fast

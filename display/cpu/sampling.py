@@ -271,7 +271,7 @@ def at(grid: Grid, line: Line, k: Any) -> Any:
     return trilinear(grid, x + k * dx, y + k * dy, z + k * dz)
 
 
-@fast
+@inlined
 def trilinear(grid: Grid, x: Any, y: Any, z: Any) -> Any:
     """Interpolate at a point (float32) given in indices of the volume with its rim."""
     i, j, k = np.int32(x), np.int32(y), np.int32(z)
@@ -284,7 +284,7 @@ def trilinear(grid: Grid, x: Any, y: Any, z: Any) -> Any:
     return front + fz * (back - front)
 
 
-@fast
+@inlined
 def place_of(grid: Grid, i: Any, j: Any, k: Any) -> Any:
     """Return where a voxel stands."""
     return np.uintp(np.int64(k) * grid.rise + np.int64(j) * grid.row + i)

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from display.cpu import fast, over_rows
+from display.cpu import fast, inlined, over_rows
 from display.cpu.bricks import SIDE, Bricks
 from display.cpu.cast import (
-    LAST_ENTRY,
     LIGHT,
     MAX,
     MIN,
@@ -36,6 +35,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[Any]
 
+COARSER = 4  # entries of a table of colours left out: what remains stays where the processor has it at once
+NOTHING: Any = np.bool_(0)
 AXES = {0: (2, 0, 1), 1: (1, 0, 2), 2: (0, 1, 2)}  # array axes of a volume swept along x, y, z: planes, rows, columns
 
 
@@ -107,8 +108,10 @@ def cast_sheared(
     if not len(sheared.planes):
         return np.zeros((size[1], size[0], 4), np.float32)
     wide, tall = sheared.size
-    given, colours = flat(numbers), over_length(finer(table), sheared.ds_um)
+    given, colours = flat(numbers), over_length(finer(table)[::COARSER], sheared.ds_um)
     bounds = volume.low if kind == MIN else volume.high
+    spans = np.empty((*bounds.shape[:2], bounds.shape[2] + 2), np.int32)
+    find_spans(kind, bounds, given, colours, spans)
     found = np.zeros((tall, wide, 4) if kind == LIGHT else (tall, 4, wide), np.float32)
     if kind <= MIN:
         found[:, 0] = -FAR
@@ -117,12 +120,13 @@ def cast_sheared(
         lambda first, last: shear_rows(
             kind,
             volume.padded,
-            bounds,
+            spans,
             sheared.planes,
             sheared.shown,
             sheared.ds_um,
             given,
             colours,
+            np.empty(wide, np.int32),
             first,
             last,
             found,
@@ -151,12 +155,13 @@ def over_length(table: Array, length_um: float) -> NDArray[np.float32]:
 def shear_rows(
     kind: int,
     volume: Array,
-    bounds: Array,
+    spans: Array,
     planes: Array,
     shown: Array,
     ds: float,
     numbers: Array,
     table: Array,
+    entries: Array,
     first: int,
     last: int,
     found: Array,
@@ -167,7 +172,7 @@ def shear_rows(
         for s in range(planes.shape[0]):
             y = v + planes[s, 2]
             if shown[2] <= y <= shown[3]:
-                lay_plane(kind, volume, bounds, planes[s], y, shown, numbers, table, row)
+                lay_plane(kind, volume, spans, planes[s], y, shown, numbers, table, entries, row)
         if kind != LIGHT:
             finish(kind, ds, numbers, row)
 
@@ -177,38 +182,57 @@ def shown_above(kind: int, numbers: Array, table: Array) -> float:
     """Return what a brick's highest value (or its lowest, times -1) must exceed so that anything is seen of it."""
     if kind == MIN:
         return float(-(numbers[LOW] + 1 / numbers[PER_VALUE]))
-    return float(seen_above(first_opaque(table), numbers) if kind == LIGHT else numbers[LOW])
+    return float(seen_above(table, numbers) if kind == LIGHT else numbers[LOW])
 
 
 @fast
+def find_spans(kind: int, bounds: Array, numbers: Array, table: Array, spans: Array) -> None:
+    """Write for each row of bricks where there is something to see: first column and first beyond, in turn, then -1."""
+    sign, least = (-1 if kind == MIN else 1), shown_above(kind, numbers, table)
+    for k in range(bounds.shape[0]):
+        for j in range(bounds.shape[1]):
+            count, before = 0, NOTHING
+            for i in range(bounds.shape[2]):
+                shown = sign * np.float64(bounds[k, j, i]) > least
+                if shown != before:
+                    spans[k, j, count] = i * SIDE
+                    count, before = count + 1, shown
+            if before:
+                spans[k, j, count] = bounds.shape[2] * SIDE
+                count += 1
+            spans[k, j, count] = -1
+
+
+@inlined
 def lay_plane(
     kind: int,
     volume: Array,
-    bounds: Array,
+    spans: Array,
     plane: Array,
     y: float,
     shown: Array,
     numbers: Array,
     table: Array,
+    entries: Array,
     row: Array,
 ) -> None:
-    """Lay a row of a plane behind what is there, leaping over bricks that show nothing."""
-    sign, least = (-1 if kind == MIN else 1), shown_above(kind, numbers, table)
+    """Lay a row of a plane behind what is there, where there is something to see."""
     k, j, moved = int(plane[0]), int(y), int(np.floor(plane[1]))
+    begin = max(START, int(np.ceil(shown[0] - plane[1])))
     end = min(row.size // 4, int(np.floor(shown[1] - plane[1])) + 1)
-    near, far, extremes = volume[k, j], volume[k, j + 1], bounds[k // SIDE, j // SIDE]
     fy, fx = np.float32(y - j), np.float32(plane[1] - moved)
-    u = max(START, int(np.ceil(shown[0] - plane[1])))
-    while u < end:
-        stop = u
-        while stop < end and sign * np.float64(extremes[(stop + moved) // SIDE]) > least:
-            stop = min(((stop + moved) // SIDE + 1) * SIDE - moved, end)
-        if stop > u:
-            lay(kind, near, far, moved, fx, fy, plane[3], numbers, table, u, stop, row)
-        u = ((stop + moved) // SIDE + 1) * SIDE - moved
+    found = spans[k // SIDE, j // SIDE]
+    n = 0
+    while found[n] >= 0:
+        first, last = max(begin, found[n] - moved), min(end, found[n + 1] - moved)
+        if last > first:
+            lay(
+                kind, volume[k, j], volume[k, j + 1], moved, fx, fy, plane[3], numbers, table, entries, first, last, row
+            )
+        n += 2
 
 
-@fast
+@inlined
 def lay(
     kind: int,
     near: Array,
@@ -219,6 +243,7 @@ def lay(
     fog: float,
     numbers: Array,
     table: Array,
+    entries: Array,
     begin: int,
     end: int,
     row: Array,
@@ -229,10 +254,11 @@ def lay(
     one, two = near[begin + moved : end + moved + 1], far[begin + moved : end + moved + 1]
     count = end - begin
     if kind == LIGHT:
+        last = np.float32(table.shape[0] - 1)
         for u in range(count):
-            if row[begin + u, 3] < np.float32(1 - OPAQUE):
-                v = min(max((within(one, two, u, fx, fy) - low) * scale, np.float32(0)), np.float32(1))
-                add_matter(np.uint32(np.int32(v * np.float32(LAST_ENTRY) + np.float32(0.5))), table, row, begin + u)
+            v = min(max((within(one, two, u, fx, fy) - low) * scale, np.float32(0)), np.float32(1))
+            entries[u] = np.int32(v * last + np.float32(0.5))
+        add_matter(entries, count, table, row[begin:end])
         return
     out = row[0, begin:end]
     if kind == SUM:
@@ -246,11 +272,15 @@ def lay(
 
 
 @fast
-def add_matter(entry: Any, table: Array, row: Array, u: int) -> None:
-    """Add the light of one voxel, and what it absorbs, behind what is there."""
-    left = np.float32(1) - row[u, 3]
-    for c in range(4):
-        row[u, c] += left * table[entry, c]
+def add_matter(entries: Array, count: int, table: Array, row: Array) -> None:
+    """Add the light of some voxels, and what they absorb, behind what is there."""
+    lowest = first_opaque(table)
+    for u in range(count):
+        entry = entries[u]
+        if entry >= lowest and row[u, 3] < np.float32(1 - OPAQUE):
+            left = np.float32(1) - row[u, 3]
+            for c in range(4):
+                row[u, c] += left * table[np.uint32(entry), c]
 
 
 @fast
