@@ -53,15 +53,16 @@ def shifted_maximum(values: Array, slope: tuple[float, float], *, whole: bool) -
     return found, (-int(rim[0]), -int(rim[1]))
 
 
+@fast
 def keep_brightest(values: Array, starts: Array, found: Array, first: int, last: int) -> None:
     """Keep the brightest of all planes in some rows of the result."""
-    height, width = values.shape[1:]
-    for k in range(len(values)):
-        x, y = starts[k]
-        top, bottom = max(first, y), min(last, y + height)
-        if top < bottom:
-            part = found[top:bottom, x : x + width]
-            np.maximum(part, values[k, top - y : bottom - y], out=part)
+    depth, height, width = values.shape
+    for k in range(depth):
+        x, y = starts[k, 0], starts[k, 1]
+        for j in range(max(first, y), min(last, y + height)):
+            row, line = values[k, j - y], found[j, x : x + width]
+            for i in range(width):
+                line[i] = max(line[i], row[i])
 
 
 @fast
