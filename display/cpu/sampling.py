@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 TINY = 1e-9
 FAR = 1e9
 START: Any = np.intp(0)  # with a type of its own: a plain 0 is a type as well, and everything compiled twice
-LOW, PER_VALUE, STEP, PERSPECTIVE = range(4)  # places of the numbers of a cast that all need
+# places of the numbers of a cast
+LOW, PER_VALUE, STEP, PERSPECTIVE, THRESHOLD, FADE, FRONT, SURFACE, LIGHT_X = range(9)
+ANSWER = LIGHT_X + 3
 RUN = 64  # samples had at a time
 BLOCK = 32  # samples the compiler does side by side; what is beyond the last is computed in vain
 
