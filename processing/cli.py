@@ -99,9 +99,13 @@ def focus(
     options: Options = {"method": method, "threshold": threshold, "band": None if band is None else BANDS.index(band)}
     work = Work(opened, options, view, REGISTER[register], SystemClock())
     result, facts = work.measure(quiet=quiet)
-    if (doubt := doubtful(result.share_confident, len(opened))) and not quiet:
-        _say_notes([doubt])
-    facts["notes"] += [doubt] if doubt else []
+    doubts = [
+        words
+        for words in (doubtful(result.share_confident, len(opened)), blank(result.parameters["blank_planes"]))
+        if words
+    ]
+    _say_notes([] if quiet else doubts)
+    facts["notes"] += doubts
     result = filled(result) if fill else result
     report = write_focus_result(result, output, pixel_um=opened.pixel_um, facts=facts, overwrite=overwrite)
     sys.stdout.write(notation.dumps(report, ensure_ascii=False) + "\n" if json else summary(report, output))
@@ -157,6 +161,11 @@ def doubtful(share_confident: float, planes: int) -> str:
         f"the range is sure in {share_confident:.1%} of the pixels only: the planes show nothing, are saturated, all "
         "alike, or not of one field; see confidence.png."
     )
+
+
+def blank(planes: Sequence[int]) -> str:
+    """Return what to say of planes that are one grey value everywhere; empty when there are none."""
+    return f"nothing is to be seen in planes {', '.join(map(str, planes))}: lost, or dark." if planes else ""
 
 
 def filled(result: FocusResult) -> FocusResult:

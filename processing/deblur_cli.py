@@ -62,7 +62,7 @@ def deblur_command(
     pixel_um: float | None = None,
     step_um: float | None = None,
     channel: int | None = None,
-    time: int = 0,
+    time: int | None = None,
     memory_gb: float | None = None,
     overwrite: Annotated[bool, Switch] = False,
     json: Annotated[bool, Switch] = False,
@@ -192,6 +192,15 @@ def read_psf(path: Path, spacing: Spacing) -> NDArray[np.float32]:
     return checked_psf(psf)
 
 
+def blank_planes(volume: Array, reach: int) -> list[str]:
+    """Name the planes that show a single grey value, which no camera takes: their light is missing around them, too."""
+    flat = [k for k, plane in enumerate(volume) if not np.ptp(plane)]
+    if not flat:
+        return []
+    which = f"planes {', '.join(map(str, flat))} are" if len(flat) > 1 else f"plane {flat[0]} is"
+    return [f"{which} one grey value everywhere: do not believe the planes up to {reach} from there."]
+
+
 @dataclass(frozen=True)
 class Work:
     """A stack to be deblurred and how."""
@@ -244,10 +253,11 @@ class Work:
         if self.steps < 1:
             raise InputError(f"{self.steps} steps are none.", fix="--steps 30", code="deblur-optics")
         background = float(np.percentile(volume[:, ::4, ::4], 1)) if self.background is None else self.background
-        noise = min(plane_noise(plane) for plane in volume)
+        noise = min((plane_noise(plane) for plane in volume if np.ptp(plane)), default=plane_noise(volume[0]))
         share = float(np.mean(volume >= top))
         notes = [f"{share:.1%} of the voxels are saturated: they and their surroundings come out too dark."]
-        return Deblurring(self.method, noise, background, self.steps), notes if share > SATURATED else []
+        notes = [*(notes if share > SATURATED else []), *blank_planes(volume, len(self.psf) // 2)]
+        return Deblurring(self.method, noise, background, self.steps), notes
 
     def write(self, folder: Path, restored: Restored, report: dict[str, Any]) -> None:
         """Write all results."""
@@ -311,7 +321,7 @@ def measure_psf(
     pixel_um: float | None = None,
     step_um: float | None = None,
     channel: int | None = None,
-    time: int = 0,
+    time: int | None = None,
     overwrite: Annotated[bool, Switch] = False,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative="")] = False,
 ) -> int:

@@ -12,7 +12,14 @@ import numpy as np
 from devices.errors import InputError
 from processing.stereo_geometry import fitted_plane, locate
 from processing.stereo_match import match_area
-from processing.stereo_points import facet_raster, facets_between, match_markers, match_points, shortest_network
+from processing.stereo_points import (
+    facet_raster,
+    facets_between,
+    match_markers,
+    match_points,
+    misfit_to_neighbours,
+    shortest_network,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -30,6 +37,7 @@ Method = Literal["area", "points", "markers"]
 PIXEL_UM = (1e-6, 1e5)
 GRID_STEP_PX = 16  # of the points table of an area match
 CLIPPED_SHARE = 0.05
+INTERPOLATED = 1.0  # error of a facet over how far its corners lie off the planes of their neighbours
 NO_FACETS = np.empty((0, 3), int)
 
 
@@ -118,7 +126,8 @@ class Elevation:
     elevation_um : array float32
         Height, up positive, from the level of the tilt axis, or from ``plane`` when ``levelled``.
     sigma_um : array float32
-        Its standard error from the matching; errors of tilt and pixel size come on top.
+        Its standard error from the matching, and on facets from how far their corners lie off the planes of their
+        neighbours; errors of tilt and pixel size come on top.
     parallax_px : array float32
         x_left - x_right.
     points : Points
@@ -287,7 +296,9 @@ def from_matches(matches: Matches, shape: tuple[int, int], geometry: Geometry, *
     def spread(values: Array) -> Array:
         return facet_raster(matches.left, facets, values, shape) if joined else dots(matches.left, values, shape)
 
-    maps = (spread(z_um), spread(sigma), spread(matches.parallax_px))
+    between = INTERPOLATED * misfit_to_neighbours(matches.left, facets, z_um) if joined else np.zeros(len(z_um))
+    error = np.sqrt(spread(sigma) ** 2 + spread(between) ** 2)
+    maps = (spread(z_um), error, spread(matches.parallax_px))
     doubtful = int(matches.ambiguous.sum())
     notes = (f"{doubtful} of {len(matches)} matches have a rival: look at them in points.csv.",) if doubtful else ()
     plane = fitted_plane(x_um, xyz[:, 1], z_um)

@@ -138,10 +138,15 @@ class FocusSweep:
         self.method = method
         self.count = 0
         self.noise = np.inf
+        self._blank: list[int] = []
         self._band = band
         self._threshold = threshold
         self._track = track_for(method, shape, threshold)
         self._soft = SoftPyramid(shape) if method == "transparent" else None
+
+    @property
+    def _noise_so_far(self) -> float:
+        return self.noise if np.isfinite(self.noise) else ROUNDING
 
     @property
     def state_bytes_per_pixel(self) -> float:
@@ -153,10 +158,13 @@ class FocusSweep:
         """Take the next plane, (height, width) or (height, width, 3), uint8 or uint16."""
         check_plane(plane, self.shape)
         plane = read_only(plane)
-        self.noise = min(self.noise, plane_noise(plane))
+        if plane.min() == plane.max():
+            self._blank.append(self.count)
+        else:
+            self.noise = min(self.noise, plane_noise(plane))
         self._track.add(one_band(plane, self._band), self.count)
         if self._soft:
-            self._soft.add(plane, self.noise)
+            self._soft.add(plane, self._noise_so_far)
         self.count += 1
 
     def preview(self) -> RangeImage:
@@ -177,12 +185,13 @@ class FocusSweep:
             No plane was added, or the positions are no strictly rising or falling sequence of finite numbers.
         """
         z = plane_positions(z_um, self.count)
-        measured = self._track.measured(z, self.noise)
+        noise = self._noise_so_far
+        measured = self._track.measured(z, noise)
         if self.count < SMALLEST_STACK:
             measured = nothing_known(measured, z)
         position, confidence, width, plane = measured
         edge = (plane == 0) | (plane == self.count - 1)
-        return RangeImage(position, confidence, plane, width, edge, self.noise, z)
+        return RangeImage(position, confidence, plane, width, edge, noise, z)
 
     def compose(self, planes: Iterable[Array], image: RangeImage, *, unit: Literal["um", "plane"]) -> FocusResult:
         """Make the extended focus for a finished range image and sum up what was found.
@@ -215,6 +224,7 @@ class FocusSweep:
                 "confident": CONFIDENT,
                 "focus_curve_width": curve_width(image),
                 "gather_reach": reach,
+                "blank_planes": list(self._blank),
                 "share_in_end_planes": float(np.mean(image.edge)),
                 **({"windows": [asdict(w) for w in WINDOWS], "halo": HALO} if self.method in SHARPNESS else {}),
             },

@@ -14,6 +14,7 @@ from cyclopts import Parameter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from acquire.progress import progress
 from devices.errors import InputError
 from processing.indents import Indent, Removal, measured_indents, removal
 from processing.indents_chain import Chain, chain
@@ -46,6 +47,7 @@ def indents(
     feed_error_um: float = 0.1,
     overwrite: Annotated[bool, Switch] = False,
     json: Annotated[bool, Switch] = False,
+    quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative="")] = False,
 ) -> int:
     """Measure Vickers and Knoop indents, and the depth removed between two or more pictures of a face.
 
@@ -68,6 +70,8 @@ def indents(
         Replace results that are in the folder.
     json
         Write the report as one JSON object to standard output.
+    quiet
+        Show no progress and no notes.
     """
     names = named(before, after)
     files_there = files_of(names)
@@ -75,7 +79,11 @@ def indents(
     feeds = feed_um or []
     check_feed(feeds, feed_error_um, len(after))
     faces = {name: opened_face(path, pixel_um) for name, path in names.items()}
-    found = {name: measured_indents(image, pixel) for name, (image, pixel) in faces.items()}
+    found = {}
+    with progress("measuring indents", len(faces), quiet=quiet) as show:
+        for name, (image, pixel) in faces.items():
+            found[name] = measured_indents(image, pixel)
+            show(len(found))
     if not found["before"]:
         raise no_indent(before)
     listed = list(found.values())
@@ -90,6 +98,7 @@ def indents(
         files |= {"chain.csv": chain_table(sums), "chain.png": chain_picture(sums)}
     said["files"] = [*files, "report.json"]
     write_results(output, {**files, "report.json": json_bytes(said)})
+    sys.stderr.writelines([] if quiet else [f"note: {note}\n" for note in said["notes"]])
     sys.stdout.write(notation.dumps(plain(said), ensure_ascii=False) + "\n" if json else summary(said, output))
     return 0
 
@@ -250,7 +259,6 @@ def summary(said: dict[str, Any], folder: Path) -> str:
     if summed is not None:
         ends = summed["removed_um"][-1], summed["errors_um"][-1]
         lines.append(f"removed in {len(summed['removed_um'])} faces: {ends[0]:.3f} ± {ends[1]:.3f} µm")
-    lines += [f"note: {note}" for note in said["notes"]]
     return "\n".join([*lines, *(str(folder / name) for name in said["files"])]) + "\n"
 
 

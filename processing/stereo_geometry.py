@@ -97,7 +97,8 @@ def tilted_pair(tilt_deg: float, *, left_deg: float | None = None, distance_um: 
     Parameters
     ----------
     tilt_deg : float
-        Whole angle between the views.
+        Whole angle between the views. Below zero, which says that the left view is the less tilted one, only beside
+        ``left_deg``: else a sign would turn hills into pits unasked.
     left_deg : float, optional
         Tilt of the left view; half of the angle when left out, 0 for a left view taken flat.
     distance_um : float
@@ -106,13 +107,24 @@ def tilted_pair(tilt_deg: float, *, left_deg: float | None = None, distance_um: 
     Raises
     ------
     InputError
-        ``stereo-tilt``: the angle is zero, not a number or beyond 90°. ``stereo-distance``: no positive distance.
+        ``stereo-tilt``: the angle is zero, below it without ``left_deg``, not a number or beyond 90°.
+        ``stereo-distance``: no positive distance.
     """
     if not SMALLEST_TILT_DEG <= abs(tilt_deg) <= WIDEST_TILT_DEG:
         raise InputError(
             f"a tilt of {tilt_deg:g}° between the views gives no elevation.",
             why="Both views would show the same, or nothing in common.",
             fix=f"give the whole angle between the views, {SMALLEST_TILT_DEG:g} to {WIDEST_TILT_DEG:g}: --tilt-deg 8",
+            code="stereo-tilt",
+        )
+    if left_deg is None and tilt_deg < 0:
+        raise InputError(
+            f"an angle of {tilt_deg:g}° between the views.",
+            why="Less than nothing would mean that left and right are exchanged, and turn hills into pits.",
+            fix=(
+                f"give the views the other way round and --tilt-deg {-tilt_deg:g}",
+                f"or say how the left view was tilted: --tilt-deg {tilt_deg:g} --left-deg 0",
+            ),
             code="stereo-tilt",
         )
     left = tilt_deg / 2 if left_deg is None else left_deg

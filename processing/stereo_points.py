@@ -332,6 +332,30 @@ def facets_between(points: Array) -> Array:
     return np.array([facet for facet in found if min(facet) >= 0], int).reshape(-1, 3)
 
 
+def misfit_to_neighbours(places: Array, facets: Array, values: Array) -> NDArray[np.float64]:
+    """How far each point lies from the plane that its neighbours across the facets make: what facets may be off by.
+
+    Parameters
+    ----------
+    places : array (points, 2)
+    facets : array (facets, 3) int
+    values : array (points,)
+
+    Returns
+    -------
+    array (points,)
+        Absolute values in the unit of ``values``; 0 where there are fewer than three neighbours.
+    """
+    joined = np.zeros((len(places), len(places)), bool)
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        joined[facets[:, a], facets[:, b]] = joined[facets[:, b], facets[:, a]] = True
+    out = np.zeros(len(places))
+    for k in np.flatnonzero(joined.sum(axis=1) >= FEWEST_POINTS):
+        columns = np.column_stack([np.ones(int(joined[k].sum())), places[joined[k]] - places[k]])
+        out[k] = abs(np.linalg.lstsq(columns, values[joined[k]], rcond=None)[0][0] - values[k])
+    return out
+
+
 def facet_raster(points: Array, facets: Array, values: Array, shape: tuple[int, int]) -> Array:
     """Interpolate values of points linearly on facets; (height, width) float32, NaN outside."""
     out = np.full(shape, np.nan, np.float32)

@@ -13,7 +13,7 @@ from scipy.ndimage import convolve1d
 from devices.cli import run
 from devices.errors import InputError
 from processing.deblur import nearest_neighbour, noise_over_signal, richardson_lucy, van_cittert, wiener
-from processing.deblur_cli import FILES
+from processing.deblur_cli import FILES, blank_planes
 from processing.deblur_tiles import Deblurring, deblur, halo_px, tile_side
 from processing.psf import Optics, from_beads, modelled
 from sim.scenes.beads import beads, blurred, cells
@@ -199,6 +199,22 @@ def test_the_commands_measure_a_psf_and_deblur_with_it(psf, scene, tmp_path: Pat
     assert rms(found - scene.background, scene.truth) < rms(scene.seen - scene.background, scene.truth)
     assert command(stack, tmp_path / "other", "--pixel-um", 0.2, "--step-um", 0.3, *given) == 2
     assert "was made for voxels of" in capsys.readouterr().err
+
+
+def test_a_plane_that_was_lost_is_named_and_does_not_count_as_free_of_noise(psf, scene, tmp_path: Path):
+    holed = scene.seen.copy()
+    holed[5] = 0
+    whole, lost = (blank_planes(volume, 4) for volume in (scene.seen, holed))
+    assert whole == []
+    assert "plane 5 is" in lost[0]
+    noise = []
+    for name, volume in (("whole", scene.seen), ("holed", holed)):
+        (tmp_path / name).mkdir()
+        assert (
+            command(saved(tmp_path / name, volume), tmp_path / name / "out", *SIZES, *LENS, "--method", "wiener") == 0
+        )
+        noise.append(json.loads((tmp_path / name / "out" / "report.json").read_text())["noise"])
+    assert noise[1] == pytest.approx(noise[0], rel=0.1)
 
 
 @pytest.mark.parametrize(

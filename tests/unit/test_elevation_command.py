@@ -125,6 +125,7 @@ def test_points_edited_by_hand_are_taken_as_they_are(pair: list[Path], tmp_path:
     ("arguments", "code"),
     [
         (("--tilt-deg", 0, "--pixel-um", 1), "stereo-tilt"),
+        (("--tilt-deg", -8, "--pixel-um", 1), "stereo-tilt"),
         (("--tilt-deg", "nan", "--pixel-um", 1), "stereo-tilt"),
         (("--pixel-um", 1), "stereo-tilt"),
         (("--tilt-deg", 8, "--shift-um", 3, "--pixel-um", 1), "stereo-tilt"),

@@ -24,6 +24,7 @@ from processing.stereo_points import (
     facets_between,
     match_markers,
     match_points,
+    misfit_to_neighbours,
     read_matches,
     shortest_network,
 )
@@ -229,6 +230,18 @@ def test_facets_carry_a_plane_exactly_and_their_contours_are_its_lines() -> None
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     hull = cv2.contourArea(cv2.convexHull(points.astype(np.float32)))
     assert np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum() / 2 == pytest.approx(hull, rel=0.03)
+
+
+def test_facets_know_how_far_they_may_be_off() -> None:
+    y, x = np.mgrid[0:60:12, 0:60:12]
+    points = np.stack([x, y], axis=-1).reshape(-1, 2) + np.random.default_rng(3).uniform(-2, 2, (25, 2))
+    plane = 2 + 0.1 * points[:, 0] - 0.3 * points[:, 1]
+    facets = facets_between(points)
+    assert misfit_to_neighbours(points, facets, plane).max() < 1e-9
+    cliff = plane + 7 * (points[:, 0] > 30)
+    off = misfit_to_neighbours(points, facets, cliff)
+    assert np.median(off[np.abs(points[:, 0] - 30) < 10]) > 1.5
+    assert np.median(off[points[:, 0] < 15]) < 1e-9
 
 
 def test_markers_along_a_thread_are_joined_in_its_order() -> None:

@@ -141,6 +141,16 @@ def test_light_of_few_photons_is_not_sure_and_a_bright_sheet_within_it_is():
     assert np.delete(sure, np.s_[28:62], axis=0).mean() < 0.01
 
 
+def test_a_lost_plane_is_named_and_changes_little():
+    planes, z, _ = clean_stack()
+    shown = list(seen(planes))
+    shown[20] = np.zeros_like(shown[20])
+    result = focus_stack(shown)
+    assert result.parameters["blank_planes"] == [20]
+    assert result.noise > 2
+    assert rms(result.range - z) < 0.6
+
+
 def test_a_window_that_reaches_a_grain_says_nothing_of_the_dark_beside_it():
     planes = np.full((15, 128, 160), 10, np.uint8)
     planes[7, 60:68, 60:68] = 200
