@@ -80,6 +80,11 @@ class PageFlip:
         self._mailbox.swap = swap
 
     @property
+    def pid(self) -> int:
+        """Number of the process that flips."""
+        return self._process.pid
+
+    @property
     def running(self) -> bool:
         """Whether pictures are being flipped; False once the window was closed."""
         return self._process.poll() is None

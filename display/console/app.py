@@ -96,6 +96,7 @@ def opened(served: Served, stack: ExitStack) -> Console:
     eyes = Eyes(lambda: bench.ring, top)
     stack.callback(eyes.close)
     made = Console(bench, eyes, journal, settings)
+    stack.callback(made.flipping.close)
 
     def remember() -> None:
         made.remember()

@@ -75,6 +75,7 @@ BINDINGS = (
     Binding("r", "Ctrl+R", "review before a start; pause; go on", lambda console: console.run_or_pause(), ctrl=True),
     Binding("f", "F", "fit the picture to its panel", _placing),
     Binding("h", "H", "crosshair on and off", _crosshair),
+    Binding("g", "G", "glasses: show each eye its name; again to end", lambda console: console.glasses_test()),
     Binding("f1", "F1", "this list", _keys),
 )
 

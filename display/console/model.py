@@ -11,6 +11,7 @@ from acquire.state import FINAL, RunState
 from devices.clock import SystemClock
 from devices.errors import StereotomeError
 from display.console import contrast as grey
+from display.console.flipping import Flipping
 from display.console.journal import words_of
 from display.console.moving import Jogger, Marks
 from display.console.placing import Placing
@@ -60,6 +61,7 @@ class Console:
             paint=settings.paint,
             ignored_percent=settings.ignored_percent,
         )
+        self.flipping = Flipping(journal, lambda: bench.rig)
         self.placing = Placing()
         self.jogger = Jogger(chosen=min(max(settings.jog, 0), 4))
         self.form = StackForm(folder=settings.folder, operator=settings.operator)
@@ -417,6 +419,13 @@ class Console:
         """Whether the last run ended with planes missing, and no run is under way."""
         run = self.run
         return run is not None and not self.running and run.state in FINAL and run.durable < run.planned
+
+    def glasses_test(self) -> None:
+        """Show each eye its name through the shutter glasses, or no more."""
+        if self.flipping.shows:
+            self.flipping.end()
+        else:
+            self.flipping.begin("eyes")
 
     def remember(self) -> None:
         """Put what is chosen now into the settings."""

@@ -16,12 +16,14 @@ import tifffile
 from acquire.store import is_run, open_run
 from devices.errors import InputError, StereotomeError
 from display.controls import Shown
+from display.light import encoded
 from display.load import limits_of, load_volume
 from display.modes import all_modes
 from display.relief import Relief, ReliefLook
 from display.relief_plots import profile
 from display.resolve import fitting_pixel_um
 from display.scene import Band, Layer, Light, Scene, SliceLook, Transfer, Volume
+from display.stereo import Stereo
 from processing.heights import read_heights
 from processing.outputs import write_durably
 from processing.pictures import png_bytes
@@ -29,14 +31,18 @@ from processing.pictures import png_bytes
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from acquire.store import StoredRun
+    from display.console.flipping import Flipping
     from display.console.journal import Journal
     from display.relief_plots import Profile
+    from display.stereo import Mode
 
     Picture = NDArray[np.uint8]
     Line = tuple[tuple[int, int], tuple[int, int]]
 
 FLAT = ("extended focus", "range", "relief")
 RESULTS = "focus"
+PAGE_FLIP: Mode = "page-flip"
 RELIEF_VIEW = (25.0, -50.0)
 
 
@@ -169,18 +175,39 @@ class Data:
 
 
 def volume_of(path: Path) -> Volume:
-    """Return a stack as a volume; of a run of sections the middle plane of each, as deep as what was taken off."""
+    """Return a stack as a volume.
+
+    Of a run of sections, the middle plane of each, as deep as what was taken off; of a stack that ended early, the
+    planes that were taken.
+    """
     run = open_run(path) if is_run(path) else None
-    if run is None or run.layout.sections < 2 or run.manifest["recipe"].get("sections") is None:
+    if run is None:
         return load_volume(path)
+    if run.layout.sections > 1 and run.manifest["recipe"].get("sections") is not None:
+        return _faces(run)
+    begun = run.missing and run.layout.sections == 1 and len(run.layout.channels) < 2
+    return _begun(run) if begun else load_volume(path)
+
+
+def _faces(run: StoredRun) -> Volume:
     middle = run.layout.planes_each // 2
     slots = [slot for slot, each in sorted(run.planes.items()) if (each.header.plane, each.header.band) == (middle, 0)]
+    return _planes(run, slots, run.manifest["recipe"]["sections"]["thickness_nm"] / 1000)
+
+
+def _begun(run: StoredRun) -> Volume:
+    """Return the planes of a stack up to the first that is missing."""
+    taken = sorted(run.planes)
+    return _planes(run, [slot for place, slot in enumerate(taken) if slot == place], abs(run.layout.step_um))
+
+
+def _planes(run: StoredRun, slots: list[int], apart_um: float) -> Volume:
     if not slots:
-        raise InputError(f"{path} holds no whole section yet.", fix="look again later", code="stack-empty")
+        raise InputError(f"{run.folder} holds nothing whole yet.", fix="look again later", code="stack-empty")
     planes = [run.read(slot) for slot in slots]
     values = np.stack([plane if plane.ndim == 2 else plane[..., 1] for plane in planes])
-    thickness_um, pixel_um = run.manifest["recipe"]["sections"]["thickness_nm"] / 1000, run.layout.pixel_um
-    spacing = (thickness_um, pixel_um, pixel_um) if pixel_um else (1.0, 1.0, 1.0)
+    pixel_um = run.layout.pixel_um
+    spacing = (apart_um, pixel_um, pixel_um) if pixel_um else (1.0, 1.0, 1.0)
     return Volume((Band(values, limits_of(values)),), spacing, "µm" if pixel_um else "voxels")
 
 
@@ -199,7 +226,7 @@ def _look(wish: Wish) -> Any:
 
 
 class Reviewer:
-    """Draws what is wished for, in a thread of its own, from the first wish on.
+    """Draws what is wished for, in a thread of its own, from the first wish on; pairs go to the shutter glasses.
 
     Attributes
     ----------
@@ -213,12 +240,13 @@ class Reviewer:
         Grey levels shown as nothing and as full.
     """
 
-    def __init__(self, journal: Journal) -> None:
+    def __init__(self, journal: Journal, flipping: Flipping) -> None:
         self.drawn: Drawn | None = None
         self.problem = ""
         self.planes = 1
         self.limits = (0.0, 4095.0)
         self._journal = journal
+        self._flipping = flipping
         self._wish: Wish | None = None
         self._wished = threading.Condition()
         self._over = False
@@ -271,12 +299,16 @@ class Reviewer:
                     self._journal.add("error", "review", self.problem)
 
     def _draw(self, renderer: Any, data: Data, wish: Wish) -> Drawn:
-        from display.render import picture  # noqa: PLC0415
+        from display.render import picture, views  # noqa: PLC0415
 
         scene = data.scene(wish)
         if wish.shown.mode not in FLAT:
             volume = data.volume()
             self.planes, self.limits = volume.shape[0], volume.bands[0].limits
+        if scene.stereo.mode == PAGE_FLIP:
+            left, right = (encoded(light) for light in views(renderer, scene, self._flipping.size))
+            self._flipping.publish(*((right, left) if scene.stereo.swap else (left, right)))
+            scene = replace(scene, stereo=Stereo())  # beside the glasses the panel shows one view
         return Drawn(wish, picture(renderer, scene, wish.size), scene)
 
     def _next(self, done: Wish | None) -> Wish | None:

@@ -12,7 +12,7 @@ from imgui_bundle import hello_imgui, imgui, immapp
 from acquire.words import took
 from devices.errors import DisplayError, StereotomeError
 from display.console.keys import BINDINGS, MOUSE
-from display.console.panels import camera, live, log, review, sections, session, stack, stage
+from display.console.panels import camera, glasses, live, log, review, sections, session, stack, stage
 from display.console.panels import widgets as w
 from display.console.review import Reviewer
 from display.console.tour import STEPS
@@ -29,7 +29,7 @@ logger = logging.getLogger(__name__)
 TITLE = "Stereotome"
 SIZE = (1280, 720)
 BUSY_HZ, IDLE_HZ = 30.0, 3.0
-LAYOUT = "console-1"
+LAYOUT = "console-2"
 
 
 class ConsoleWindow:
@@ -48,13 +48,14 @@ class ConsoleWindow:
         self.canvas: Canvas | None = None
         self.review: review.ReviewPanel | None = None
         self._failed: set[str] = set()
-        self._reviewer = Reviewer(console.journal)
+        self._reviewer = Reviewer(console.journal, console.flipping)
         self._draws: dict[str, Callable[[Console], None]] = {
             "Stage": stage.draw,
             "Camera": camera.draw,
             "Stack": stack.draw,
             "Sections": sections.draw,
             "Session": session.draw,
+            "Glasses": glasses.draw,
             "Log": log.LogPanel().draw,
         }
         self.params = self.make_params(scale, remembers=remembers)
@@ -134,6 +135,7 @@ class ConsoleWindow:
             "Stack": "Right",
             "Sections": "Right",
             "Session": "Right",
+            "Glasses": "Right",
             "Live": "MainDockSpace",
             "Review": "MainDockSpace",
             "Log": "Below",

@@ -65,6 +65,7 @@ def first_run(hand):
     hand.wait(lambda: any("ZeroDivisionError" in line.words for line in console.journal.lines("error")))
     hand.click("//Camera/Stop live")
     hand.wait(lambda: not console.state.live)
+    glasses(hand)
     crash(hand)
 
 
@@ -96,14 +97,38 @@ def stops(hand):
         assert 0 < console.run.durable < 400
 
 
+def glasses(hand):
+    """Show test pictures through shutter glasses, then the last run, and end that by another choice."""
+    flipping = hand.console.flipping
+    flipping.clock_hz = 100.0
+    hand.ctx.window_focus("//Glasses")
+    hand.click("//Glasses/Whose eye?")
+    hand.wait(lambda: flipping.going is not None and flipping.going.flips > 30)
+    hand.click("//Glasses/Crosstalk")
+    assert flipping.shows == "crosstalk"
+    hand.shot("console_glasses")
+    hand.click("//Glasses/End")
+    hand.wait(lambda: not flipping.shows and flipping.report)
+    assert "refreshes" in flipping.report[0]
+    hand.ctx.window_focus("//Review")
+    hand.click("//Review/Last run")
+    hand.choose("//Review/##stereo", "page-flip")
+    hand.wait(lambda: flipping.pairs)
+
+
 def crash(hand):
-    """Start a run, then die as a crash does."""
+    """Start a run; the process that flips dies, the run and the console go on; then die as a crash does."""
     console = hand.console
     console.form.exposure_ms = 40.0  # a run that lasts
+    hand.ctx.window_focus("//Stack")
     hand.enter("//Stack/planes", 300)
     hand.wait(lambda: getattr(console.planned, "planes", 0) == 300)
     hand.start()
     hand.wait(lambda: console.run.taken > 5)
+    os.kill(console.flipping.pid, signal.SIGKILL)
+    hand.wait(lambda: any("without a word" in line.words for line in console.journal.lines("error")))
+    hand.wait(lambda: hand.window.review.shown.stereo.mode == "mono")
+    assert console.running
     os.kill(os.getpid(), signal.SIGKILL)
 
 

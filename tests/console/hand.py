@@ -16,7 +16,7 @@ from display.console.app import opened
 from display.console.instrument import Served
 from display.console.window import BUSY_HZ, ConsoleWindow
 
-PATIENCE = 900  # frames
+PATIENCE = int(os.environ.get("STEREOTOME_PATIENCE", "900"))  # frames
 WAITING_HZ = 8.0
 LIVE_HZ = 10.0
 KEY = imgui.Key
@@ -63,6 +63,11 @@ class Hand:
 
         self.wait(able)
         self.ctx.item_click(ref)
+
+    def choose(self, ref, item):
+        """Choose an item of a list."""
+        self.click(ref)
+        self.ctx.item_click(f"//##Combo_00/**/{item}")
 
     def enter(self, ref, value):
         """Type a value into a field."""

@@ -13,8 +13,9 @@ from imgui_bundle import imgui
 from devices.errors import StereotomeError
 from display import controls
 from display.console.contrast import TABLES
+from display.console.flipping import REVIEW
 from display.console.panels import widgets as w
-from display.console.review import FLAT, RESULTS, Reviewer, Wish, first_shown
+from display.console.review import FLAT, PAGE_FLIP, RESULTS, Reviewer, Wish, first_shown
 from display.controls import STEREOS
 from display.gl.live_picture import StillPicture
 from display.scene import Light
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from display.console.model import Console
     from display.console.review import Drawn, Line
     from display.gl.canvas import Canvas
+    from display.stereo import Mode
 
 YELLOW = 0xFF30D0FF
 SHADE = 0xC0000000
@@ -33,6 +35,7 @@ BUTTONS: tuple[tuple[imgui.MouseButton_, Literal["left", "right", "middle"]], ..
     (imgui.MouseButton_.middle, "middle"),
 )
 OWN = "own colours"
+STEREO_KINDS: tuple[Mode, ...] = (STEREOS[0], PAGE_FLIP, *STEREOS[1:])
 
 
 class ReviewPanel:
@@ -56,7 +59,7 @@ class ReviewPanel:
         if not self.folder:
             w.words("Open the last run, or name a run's folder, a TIFF, a Zarr ...", w.GREY)
             return
-        self._kind()
+        self._kind(console)
         if self.shown.mode not in FLAT:
             self._depth()
         self._show(console)
@@ -93,11 +96,12 @@ class ReviewPanel:
         except OSError as error:
             console.journal.add("error", "review", f"not saved: {error}")
 
-    def _kind(self) -> None:
+    def _kind(self, console: Console) -> None:
         shown = self.shown
         mode = w.choice("##kind", shown.modes, shown.mode, 8)
         imgui.same_line()
-        stereo = STEREOS[STEREOS.index(w.choice("##stereo", STEREOS, shown.stereo.mode, 9))]
+        stereo = STEREO_KINDS[STEREO_KINDS.index(w.choice("##stereo", STEREO_KINDS, self._stereo(console), 9))]
+        self._flip(console, stereo)
         imgui.same_line()
         self.colours = w.choice("##colours", (OWN, *TABLES), self.colours or OWN, 7)
         self.colours = "" if self.colours == OWN else self.colours
@@ -113,6 +117,19 @@ class ReviewPanel:
             imgui.set_next_item_width(w.em(10).x)
             _, light = imgui.slider_float2("light", list(self.light), -90.0, 90.0, "%.0f°")
             self.light = (light[0], light[1])
+
+    def _stereo(self, console: Console) -> Mode:
+        """Return how the eyes see it: no longer by glasses once these show something else, or nothing."""
+        mode = self.shown.stereo.mode
+        return "mono" if mode == PAGE_FLIP and console.flipping.shows != REVIEW else mode
+
+    def _flip(self, console: Console, stereo: Mode) -> None:
+        """Let the shutter glasses follow what was chosen."""
+        before = self.shown.stereo.mode
+        if stereo == PAGE_FLIP != before:
+            console.flipping.begin(REVIEW)
+        elif before == PAGE_FLIP != stereo and console.flipping.shows == REVIEW:
+            console.flipping.end()
 
     def _depth(self) -> None:
         """Draw what belongs to volumes: the plane in the middle, the threshold of a surface, opacities."""
