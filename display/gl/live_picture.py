@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import moderngl
 import numpy as np
 
 from display.gl.canvas import FORMATS, FULL_SCALE
 from display.gl.context import check
+from display.levels import colours_of_levels, seen
 
 if TYPE_CHECKING:
-    import moderngl
     from numpy.typing import NDArray
 
     from display.gl.canvas import Canvas
@@ -31,6 +32,12 @@ class PanelPicture:
         """OpenGL's name of the texture, 0 before the first drawing."""
         return 0 if self._target is None else int(self._target.color_attachments[0].glo)
 
+    def read(self) -> NDArray[np.uint8]:
+        """Return what it shows, (height, width, 3)."""
+        assert self._target is not None
+        width, height = self._target.size
+        return np.frombuffer(self._target.read(components=3, alignment=1), np.uint8).reshape(height, width, 3)
+
     def begin(self, size: tuple[int, int], state: object) -> bool:
         """Bind the target; False when it shows ``state`` at this size already."""
         if self._target is not None and self._target.size == size and state == self._drawn:
@@ -43,10 +50,19 @@ class PanelPicture:
         context.scissor = None
         return True
 
+    def lay(self, picture: NDArray[np.uint32]) -> None:
+        """Write a finished picture, (height, width) of four bytes each, in the place of drawing."""
+        assert self._target is not None
+        texture = self._target.color_attachments[0]
+        assert isinstance(texture, moderngl.Texture)
+        texture.write(picture.data)
+        self.end()
+
     def end(self) -> None:
         """Give the window its target back; raises `DisplayError` if OpenGL failed."""
         context = self.canvas.context
-        context.screen.use()
+        if context.screen is not None:  # there is a window
+            context.screen.use()
         check(context, "drawing a panel")
         context.gc()
 
@@ -58,7 +74,8 @@ class LivePicture(PanelPicture):
         super().__init__(canvas)
         self._frame: moderngl.Texture | None = None
         self._number = -1
-        self._tables: dict[int, moderngl.Texture] = {}
+        self._tables: dict[int, tuple[moderngl.Texture, Array]] = {}  # held with what they show
+        self._colours: tuple[object, NDArray[np.uint32], Array] | None = None
 
     def draw(
         self,
@@ -87,6 +104,9 @@ class LivePicture(PanelPicture):
         """
         if not self.begin(size, (number, place, id(table), levels)):
             return
+        if self.canvas.executor == "cpu" and pixels.ndim == 2:
+            self.lay(seen(pixels, size, place, self._colours_of(table, levels, pixels.dtype), levels))
+            return
         if number != self._number:
             self._upload(pixels, number)
         assert self._frame is not None
@@ -105,6 +125,15 @@ class LivePicture(PanelPicture):
         self.canvas.fill("live.frag.glsl", uniforms=uniforms, textures=textures)
         self.end()
 
+    def _colours_of(
+        self, table: Array, levels: tuple[float, float, float, float, bool], dtype: np.dtype[Any]
+    ) -> NDArray[np.uint32]:
+        """Return the colours of all grey levels, made anew when the contrast is another."""
+        state = (id(table), levels, dtype)
+        if self._colours is None or self._colours[0] != state:
+            self._colours = (state, colours_of_levels(table, levels, dtype), table)
+        return self._colours[1]
+
     def _upload(self, pixels: Array, number: int) -> None:
         """Send a frame: into the texture there is when it is of the same kind."""
         bands, size = (1 if pixels.ndim == 2 else pixels.shape[2]), pixels.shape[1::-1]
@@ -118,8 +147,8 @@ class LivePicture(PanelPicture):
 
     def _table(self, table: Array) -> moderngl.Texture:
         if id(table) not in self._tables:
-            self._tables[id(table)] = self.canvas.picture(table, smooth=True)
-        return self._tables[id(table)]
+            self._tables[id(table)] = (self.canvas.picture(table, smooth=True), table)
+        return self._tables[id(table)][0]
 
 
 class StillPicture(PanelPicture):
