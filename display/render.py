@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path  # noqa: TC003  the command line is made from the annotations
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import cv2
+import numpy as np
 from cyclopts import Parameter
 
 from acquire.progress import progress
@@ -18,16 +20,16 @@ from display.light import encoded
 from display.load import load_volume, read_transfer
 from display.modes import all_modes, find_mode, summary
 from display.movie import KINDS, Sweep, frames_of, write_movie
-from display.resolve import camera
+from display.resolve import camera, fitting_pixel_um
 from display.scene import Interpolation, Layer, Light, Scene, SliceLook, Transfer, View, VolumeLook
 from display.stereo import Mode, Stereo, Views, vergence_deg
 from processing.outputs import write_durably
 from processing.pictures import png_bytes
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
+    from devices.glasses_timing import Eye
     from display.resolve import Size
     from display.scene import Volume
 
@@ -204,23 +206,38 @@ def write(renderer: Renderer, scene: Scene, size: Size, output: Path, moving: Mo
         write_movie(output, (drawn(k) for k in range(len(scenes))), moving.fps)
 
 
-def picture(renderer: Renderer, scene: Scene, size: Size, *, plain: bool = False) -> Picture:
+def picture(renderer: Renderer, scene: Scene, size: Size, *, plain: bool = False, coarse: int = 1) -> Picture:
     """Draw a scene with all that has to be said on it, in its stereo; returns sRGB levels, (height, width, 3) uint8."""
-    lights = views(renderer, scene, size, plain=plain)
+    lights = views(renderer, scene, size, plain=plain, coarse=coarse)
     if len(lights) == 1:
         return encoded(lights[0])
     return encoded(compose(lights[0], lights[1], scene.stereo.mode, swap=scene.stereo.swap))
 
 
-def views(renderer: Renderer, scene: Scene, size: Size, *, plain: bool = False) -> list[NDArray[np.float32]]:
-    """Draw each eye's view of a scene with all that has to be said on it; returns linear light, (height, width, 3)."""
-    lights = [renderer.draw(scene, size, eye) for eye in scene.stereo.eyes]
+def views(
+    renderer: Renderer, scene: Scene, size: Size, *, plain: bool = False, coarse: int = 1
+) -> list[NDArray[np.float32]]:
+    """Draw each eye's view of a scene with all that has to be said on it; returns linear light, (height, width, 3).
+
+    ``coarse`` pixels a side are drawn as one; what is said stays sharp.
+    """
+    lights = [_drawn(renderer, scene, size, eye, coarse) for eye in scene.stereo.eyes]
     if not plain:
         data = scene.layers[0].data
         sheet = overlay(renderer.legend(scene, size), camera(scene, size), unit=data.unit, depth=data.depth)
         lights = [over(light, sheet) for light in lights]
     renderer.end_frame()
     return lights
+
+
+def _drawn(renderer: Renderer, scene: Scene, size: Size, eye: Eye | None, coarse: int) -> NDArray[np.float32]:
+    """Draw one eye's view with fewer pixels and enlarge it."""
+    if coarse == 1:
+        return renderer.draw(scene, size, eye)
+    part = (max(size[0] // coarse, 1), max(size[1] // coarse, 1))
+    pixel_um = (scene.view.pixel_um or fitting_pixel_um(scene, size)) * size[0] / part[0]
+    light = renderer.draw(replace(scene, view=replace(scene.view, pixel_um=pixel_um)), part, eye)
+    return np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def volume_of(data: Path, reading: Reading, colours: Any) -> Volume:

@@ -250,6 +250,12 @@ class Layer:
     mode: str
     look: Any = None
 
+    def __post_init__(self) -> None:
+        if self.look is None:
+            from display.modes import find_mode  # noqa: PLC0415  modes are made of scenes
+
+            object.__setattr__(self, "look", find_mode(self.mode).look())
+
     @property
     def size_um(self) -> NDArray[np.float64]:
         """Size along (x, y, z) of a box around the origin that holds what is drawn."""

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     Picture = NDArray[np.uint8]
 
 STILL_S = 0.15  # after this long without input a picture is drawn in full
+MOVING_PIXELS = 2  # drawn as one, each way, until then
 IDLE_S = 0.05
 LIVE_S = 0.01
 LOOK_S = 0.3  # between looks into the folder of a run
@@ -247,14 +248,14 @@ class Viewer:
     def _drawn(self, shown: Shown, *, moving: bool) -> Picture:
         width, height = self._window.size
         self._renderer.canvas.moving = moving
-        size = (max(width // 2, 1), max(height // 2, 1)) if moving else (width, height)
+        size, coarse = (width, height), MOVING_PIXELS if moving else 1
         if shown.mode == "live" and self._flip is None:
-            return self._four(shown, size)
+            return self._four(shown, size, coarse)
         if self._volume is None:
-            return np.zeros((size[1], size[0], 3), np.uint8)
+            return np.zeros((height, width, 3), np.uint8)
         if self._flip is not None:
             return self._flipped(self._scene(shown), self._flip)
-        return picture(self._renderer, self._scene(shown), size)
+        return picture(self._renderer, self._scene(shown), size, coarse=coarse)
 
     def _flipped(self, scene: Scene, flip: PageFlip) -> Picture:
         """Hand both views to the process that flips them; the window shows the left one."""
@@ -263,7 +264,7 @@ class Viewer:
         flip.show(*((right, left) if scene.stereo.swap else (left, right)))
         return left
 
-    def _four(self, shown: Shown, size: tuple[int, int]) -> Picture:
+    def _four(self, shown: Shown, size: tuple[int, int], coarse: int) -> Picture:
         """Newest plane, extended focus so far, range so far and volume so far, side by side."""
         part = (max(size[0] // 2, 1), max(size[1] // 2, 1))
 
@@ -276,7 +277,7 @@ class Viewer:
             empty() if newest is None else self._flat(_band(newest, "newest plane"), part),
             empty() if focus is None else self._flat(_band(focus[0], "extended focus so far"), part),
             empty() if focus is None else self._flat(range_band(focus[1]), part),
-            empty() if self._volume is None else self._fitted(self._scene(shown), part),
+            empty() if self._volume is None else self._fitted(self._scene(shown), part, coarse),
         ]
         return np.vstack([np.hstack(panes[:2]), np.hstack(panes[2:])])
 
@@ -285,9 +286,9 @@ class Viewer:
         volume = Volume((band,), (pixel,) * 3, "µm" if self._pixel_um else "voxels")
         return self._fitted(Scene((Layer(volume, "slice", find_mode("slice").look()),)), size)
 
-    def _fitted(self, scene: Scene, size: tuple[int, int]) -> Picture:
+    def _fitted(self, scene: Scene, size: tuple[int, int], coarse: int = 1) -> Picture:
         """Draw a scene so that what its stereo makes of it has a size of its own."""
-        made = picture(self._renderer, scene, size)
+        made = picture(self._renderer, scene, size, coarse=coarse)
         if made.shape[:2] == size[::-1]:
             return made
         import cv2  # noqa: PLC0415

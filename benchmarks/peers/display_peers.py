@@ -264,7 +264,10 @@ class Vispy:
         self.side, self.scene = len(values), scene
         self.canvas = scene.SceneCanvas(size=SIZE, show=False)
         box = self.canvas.central_widget.add_view()
-        look = {"mip": {"method": "mip"}, "first": {"method": "iso", "threshold": LEVEL}}.get(mode, {})
+        look = {
+            "mip": {"method": "mip"},
+            "first": {"method": "iso", "threshold": (LEVEL - FLOOR) / (FULL - FLOOR)},
+        }.get(mode, {})
         if mode == "translucent":
             look = {"method": "translucent", "cmap": color.Colormap([(0, 0, 0, 0), (1, 1, 1, OPACITY)])}
         self.volume = scene.visuals.Volume(values, parent=box.scene, texture_format="auto", clim=(FLOOR, FULL), **look)
@@ -324,7 +327,7 @@ class Pygfx:
         material = (
             pygfx.VolumeMipMaterial(**look)
             if mode == "mip"
-            else pygfx.VolumeIsoMaterial(threshold=LEVEL, step_size=1.0, **look)
+            else pygfx.VolumeIsoMaterial(threshold=LEVEL / FULL, step_size=1.0, **look)
         )
         scene = pygfx.Scene()
         scene.add(pygfx.Volume(pygfx.Geometry(grid=pygfx.Texture(values, dim=3)), material))

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+import cv2
 import moderngl
 import numpy as np
 
-from devices.errors import DisplayError
 from display.gl.context import check, is_software
 from display.gl.programs import compiled
 
@@ -51,6 +51,8 @@ class Canvas:
         Longest side of a volume texture.
     moving : bool
         The picture is one of many in motion: what is faster and nearly the same will do.
+    notes : tuple of str
+        What has to be said on what was drawn since they were emptied.
     """
 
     def __init__(self, context: moderngl.Context, executor: Executor | None = None) -> None:
@@ -58,6 +60,7 @@ class Canvas:
         self.executor = executor or ("cpu" if is_software(context) else "gl")
         self.largest = int(context.info["GL_MAX_3D_TEXTURE_SIZE"])
         self.moving = False
+        self.notes: tuple[str, ...] = ()
         self._programs: dict[object, moderngl.Program] = {}
         self._kept: dict[object, Kept] = {}
 
@@ -87,22 +90,22 @@ class Canvas:
         self._programs.clear()
 
     def volume(self, values: Array, *, smooth: bool) -> moderngl.Texture3D:
-        """Return the texture of a volume (z, y, x), uploaded once; ``smooth`` interpolates between voxels."""
+        """Return the texture of a volume (z, y, x), uploaded once; ``smooth`` interpolates between voxels.
+
+        Where it is larger than a texture may be, means of neighbouring voxels stand for it, and ``notes`` says so.
+        """
         texture: moderngl.Texture3D = self.keep("volume", (values,), lambda: self._upload(values))
+        if max(values.shape) > self.largest:
+            sizes = ("×".join(map(str, shape)) for shape in (values.shape[::-1], texture.size))
+            self.notes = ("{} voxels drawn as {}: a texture holds no more".format(*sizes),)
         texture.filter = (moderngl.LINEAR, moderngl.LINEAR) if smooth else (moderngl.NEAREST, moderngl.NEAREST)
         return texture
 
     def _upload(self, values: Array) -> moderngl.Texture3D:
-        depth, height, width = values.shape
-        if max(values.shape) > self.largest:
-            raise DisplayError(
-                f"a volume of {width}×{height}×{depth} is larger than the {self.largest} voxels a texture may have.",
-                fix="show a part of it, or bin it.",
-                code="volume-too-large",
-            )
-        texture = self.context.texture3d(
-            (width, height, depth), 1, np.ascontiguousarray(values).data, alignment=1, dtype=FORMATS[str(values.dtype)]
-        )
+        fitting = np.ascontiguousarray(reduced(values, self.largest))
+        size = fitting.shape[::-1]
+        texture = self.context.texture3d(size, 1, fitting.data, alignment=1, dtype=FORMATS[str(values.dtype)])
+        texture.extra = tuple(float(n) for n in values.shape[::-1])
         texture.repeat_x = texture.repeat_y = texture.repeat_z = False
         check(self.context, "sending a volume")
         return texture
@@ -132,6 +135,8 @@ class Canvas:
         blend: Blend = "replace",
     ) -> None:
         """Run a fragment shader over every pixel; ``snippet`` is the file it includes as ``snippet.glsl``."""
+        if "volume" in textures:
+            uniforms = {**uniforms, "voxels": textures["volume"].extra}
         program = self._program("screen.vert.glsl", fragment, defines, (("snippet.glsl", snippet),) if snippet else ())
         self._set(program, uniforms, textures)
         self._blend(blend)
@@ -217,6 +222,18 @@ class Canvas:
             "add": (moderngl.ONE, moderngl.ONE),
             "multiply": (moderngl.DST_COLOR, moderngl.ZERO),
         }[blend]
+
+
+def reduced(values: Array, largest: int) -> Array:
+    """Return a volume with at most so many voxels along each axis: means over equal parts, the whole extent kept."""
+    depth, height, width = (min(n, largest) for n in values.shape)
+    if (height, width) != values.shape[1:]:
+        planes = [cv2.resize(plane, (width, height), interpolation=cv2.INTER_AREA) for plane in values]
+        values = np.stack(planes).reshape(len(values), height, width)
+    if depth == len(values):
+        return values
+    rows = [cv2.resize(values[:, j], (width, depth), interpolation=cv2.INTER_AREA) for j in range(height)]
+    return np.stack(rows, axis=1).reshape(depth, height, width)
 
 
 def _plain(value: object) -> object:

@@ -58,6 +58,7 @@ class Renderer:
         """
         drawings = resolve(scene, size, eye)
         make_current(self.context)
+        self.canvas.notes = ()
         target = self._target(size, eye)
         target.use()
         target.clear(*scene.background, 1.0)
@@ -77,9 +78,9 @@ class Renderer:
         return read(self.paint(scene, size, eye))
 
     def legend(self, scene: Scene, size: Size) -> Legend:
-        """Return what has to be said on the picture of a scene."""
+        """Return what has to be said on the picture of a scene, drawn before."""
         parts = [find_mode(drawing.layer.mode).legend(drawing) for drawing in resolve(scene, size)]
-        return Legend(sum((part.bars for part in parts), ()), sum((part.words for part in parts), ()))
+        return Legend(sum((part.bars for part in parts), ()), sum((part.words for part in parts), self.canvas.notes))
 
     def end_frame(self) -> None:
         """Forget what the frame just drawn did not use; call it after all eyes of a frame."""

@@ -27,7 +27,7 @@ bool visit(Ray ray, float t, float ds) {
     last = t;
     vec4 matter = texture(transfer, vec2((v * 255.0 + 0.5) / 256.0, 0.5));
     float through = exp(-matter.a * ds);
-    float reached = self_shadow ? texture(reaching, (place + 0.5) / vec3(textureSize(volume, 0))).r : 1.0;
+    float reached = self_shadow ? texture(reaching, (place + 0.5) / voxels).r : 1.0;
     light += left * (1.0 - through) * reached * matter.rgb;
     left *= through;
     return left <= 0.005;

@@ -9,13 +9,12 @@ out vec4 colour;
 
 void main() {
     vec2 at = (corner + (gl_FragCoord.x - 0.5) * right + (gl_FragCoord.y - 0.5) * down).xy;
-    int depth = textureSize(volume, 0).z;
-    vec3 size = vec3(textureSize(volume, 0));
+    int depth = int(voxels.z);
     float best = -1.0;
     for (int k = 0; k < depth; ++k) {
         vec2 shift = slope * (float(k) - 0.5 * float(depth - 1));
         vec2 place = at - (whole ? floor(shift + 0.5) : shift);
-        if (all(greaterThanEqual(place, vec2(-0.5))) && all(lessThanEqual(place, size.xy - 0.5)))
+        if (all(greaterThanEqual(place, vec2(-0.5))) && all(lessThanEqual(place, voxels.xy - 0.5)))
             best = max(best, raw_value(vec3(place, float(k))));
     }
     float v = clamp((best - limits.x) / (limits.y - limits.x), 0.0, 1.0);

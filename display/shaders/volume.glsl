@@ -1,10 +1,11 @@
 // Values of a volume between 0 and 1.
 uniform sampler3D volume;
+uniform vec3 voxels;  // of the volume; its texture has fewer where it would be too large
 uniform vec2 limits;  // of the texture's own values
 uniform vec3 low, high;  // corners of what is shown, in voxels
 
 float raw_value(vec3 at) {
-    return texture(volume, (at + 0.5) / vec3(textureSize(volume, 0))).r;
+    return texture(volume, (at + 0.5) / voxels).r;
 }
 
 float value(vec3 at) {

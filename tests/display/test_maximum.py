@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from display.light import linear_of
+from display.load import as_volume
 from display.scene import Band, Layer, Scene, View, Volume, VolumeLook
 
 SHAPE = (11, 24, 30)
@@ -56,10 +57,23 @@ def test_limits_stretch_contrast(renderer):
     assert np.abs(light[12, 15] - linear_of(np.array(0.5))).max() < 0.004
 
 
-def test_a_volume_larger_than_a_texture_is_refused_in_words(renderers):
-    from devices.errors import DisplayError
+def test_a_volume_larger_than_a_texture_is_drawn_from_means_and_says_so(renderers, monkeypatch):
+    canvas, size = renderers["gl"].canvas, (40, 30)
+    ramp = np.add.outer(np.arange(0, 80, 2), np.add.outer(np.arange(24), np.arange(60))).astype(np.uint8)
+    scene = shown(ramp, View(20, 30, pixel_um=2.0), (0, 200))
+    whole = renderers["gl"].draw(scene, size)
+    assert not canvas.notes
+    monkeypatch.setattr(canvas, "largest", 20)
+    again = shown(ramp.copy(), View(20, 30, pixel_um=2.0), (0, 200))  # other data: the texture is made anew
+    fewer = renderers["gl"].draw(again, size)
+    assert canvas.notes == ("60×24×40 voxels drawn as 20×20×20: a texture holds no more",)
+    assert canvas.notes[0] in renderers["gl"].legend(again, size).words
+    inside = whole[..., 0] > 0.02
+    assert inside.mean() > 0.2
+    assert np.abs(whole - fewer)[inside].mean() < 0.02
+    assert np.corrcoef(whole[..., 0].ravel(), fewer[..., 0].ravel())[0, 1] > 0.99
 
-    canvas = renderers["gl"].canvas
-    with pytest.raises(DisplayError, match="larger than the") as caught:
-        canvas.volume(np.zeros((1, 1, canvas.largest + 1), np.uint8), smooth=True)
-    assert caught.value.code == "volume-too-large"
+
+def test_a_layer_without_a_look_has_its_modes_own(renderers):
+    layer = Layer(as_volume(np.full((3, 20, 30), 9, np.uint8)), "slice")
+    assert renderers["gl"].draw(Scene((layer,), View(pixel_um=1.0)), (30, 24)).shape == (24, 30, 3)

@@ -123,7 +123,6 @@ BAD = {
     "not numbers": (np.full((3, 8, 9), np.nan, np.float32), "stack-nan"),
     "infinite": (np.full((3, 8, 9), np.inf, np.float32), "stack-nan"),
     "complex": (np.zeros((3, 8, 9), complex), "stack-dtype"),
-    "larger than a texture": (np.zeros((1, 2, 20000), np.uint8), "volume-too-large"),
 }
 
 
