@@ -60,6 +60,12 @@ class Journal:
         """Add an error as people read it."""
         self.add("error", place, words_of(error))
 
+    def since(self, version: int) -> tuple[int, list[Line]]:
+        """Return the version now, and the lines added since another, as far as they are kept."""
+        with self._lock:
+            new = min(self.version - version, len(self._lines))
+            return self.version, [self._lines[k] for k in range(-new, 0)]
+
     def lines(self, least: Level = "info") -> list[Line]:
         """Return the lines that are at least so bad."""
         with self._lock:

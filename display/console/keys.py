@@ -75,6 +75,9 @@ BINDINGS = (
     Binding("r", "Ctrl+R", "review before a start; pause; go on", lambda console: console.run_or_pause(), ctrl=True),
     Binding("f", "F", "fit the picture to its panel", _placing),
     Binding("h", "H", "crosshair on and off", _crosshair),
+    Binding("w", "W", "the camera delivers its whole frame again", lambda console: console.set_roi(None)),
+    Binding("q", "Ctrl+Q", "what the stack panel says waits in the queue", lambda c: c.queue_run(), ctrl=True),
+    Binding("f2", "F2", "show alarms; again: they are seen", lambda console: console.alarms_seen()),
     Binding("g", "G", "glasses: show each eye its name; again to end", lambda console: console.glasses_test()),
     Binding("f1", "F1", "this list", _keys),
 )
@@ -84,5 +87,6 @@ MOUSE = (
     ("Ctrl and wheel", "enlarge the picture where the mouse is"),
     ("drag the picture", "move it"),
     ("Shift and drag", "a line whose grey levels are plotted"),
+    ("Ctrl and drag", "the part of the frame the camera is to deliver; W for the whole again"),
     ("drag an end of the histogram", "limits of the contrast"),
 )

@@ -11,10 +11,13 @@ from acquire.state import FINAL, RunState
 from devices.clock import SystemClock
 from devices.errors import StereotomeError
 from display.console import contrast as grey
+from display.console.alarms import SOUND, Alarms, sound
 from display.console.flipping import Flipping
 from display.console.journal import words_of
 from display.console.moving import Jogger, Marks
-from display.console.placing import Placing
+from display.console.placing import Placing, inside
+from display.console.run_queue import RunQueue
+from display.console.settings import settings_folder
 from display.console.snapshots import write_clip, write_snapshot
 from display.console.stack_form import Advice, StackForm, advice
 
@@ -33,6 +36,7 @@ FORM_EVERY_S = 0.2
 LIVE_HZ = 30.0
 ARMED_FOR_S = 10.0
 TOP_OF_UNKNOWN = 4095
+Roi = tuple[int, int, int, int]
 
 
 class Console:
@@ -61,6 +65,10 @@ class Console:
             paint=settings.paint,
             ignored_percent=settings.ignored_percent,
         )
+        self.queue = RunQueue()
+        self.alarms = Alarms(journal, self._alarm)
+        self.shows_alarms = False
+        self.roi: Roi | None = None
         self.flipping = Flipping(journal, lambda: bench.rig)
         self.placing = Placing()
         self.jogger = Jogger(chosen=min(max(settings.jog, 0), 4))
@@ -79,6 +87,7 @@ class Console:
         self.pause_scope = "plane"
         self._clock = clock or SystemClock()
         self._fits_first = True
+        self._largest: tuple[int, int] | None = None
         self._planned_for = ""
         self._planned_s = float("-inf")
         self._planning = False
@@ -155,6 +164,8 @@ class Console:
     def tick(self) -> None:
         """Do what is due: take answers, send what wheel and keys asked for, plan what the form says."""
         self.bench.settle()
+        self.alarms.tick()
+        self.queue.tick(self)
         self._follow()
         self._jog_due()
         self._plan_due()
@@ -273,15 +284,36 @@ class Console:
         """Expose for so long from now on."""
         self.bench.ask(requests.SetCamera(exposure_ms=exposure_ms), "camera")
 
-    def set_roi(self, roi: tuple[int, int, int, int] | None) -> None:
-        """Deliver this part of the frame; None for all of it."""
-        state, rig = self.state, self.bench.rig
-        if state is None or rig is None:
+    def set_roi(self, roi: Roi | None) -> None:
+        """Deliver this part of the frame, x, y, width, height in pixels of the whole; None for all of it."""
+        state, whole = self.state, self._whole
+        if words := self.why_no_motion():
+            self._refuse(f"{words}. The frame is as it was.")
+        elif state is not None and whole is not None:
+            self.roi, self.placing = roi, Placing()
+            self.bench.ask(requests.SetCamera(exposure_ms=state.exposure_ms, roi=roi or (0, 0, *whole)), "camera")
+
+    def choose_part(self, corner: tuple[int, int], other: tuple[int, int]) -> None:
+        """Deliver the part between two pixels (column, row) of the frame that is shown, both included."""
+        seen, whole = self.eyes.seen, self._whole
+        if seen is None or whole is None:
             return
-        size = rig.camera.size_px
-        whole = None if size is None else (0, 0, *size)
-        self.placing = Placing()
-        self.bench.ask(requests.SetCamera(exposure_ms=state.exposure_ms, roi=roi or whole), "camera")
+        shown = seen.pixels.shape[1::-1]
+        known = (0, 0, *whole) if shown == whole else self.roi
+        if known is None or known[2:] != shown:
+            self._refuse("this is a part of the frame chosen elsewhere: W shows the whole, then choose.")
+        elif part := inside(known, corner, other):
+            self.set_roi(part)
+
+    @property
+    def _whole(self) -> tuple[int, int] | None:
+        """Width and height of the whole frame: as in the instrument file, or else the largest that was seen."""
+        rig, seen = self.bench.rig, self.eyes.seen
+        if rig is not None and rig.camera.size_px is not None:
+            return rig.camera.size_px
+        if seen is not None and (self._largest is None or seen.pixels.size > self._largest[0] * self._largest[1]):
+            self._largest = seen.pixels.shape[1::-1]
+        return self._largest
 
     def record(self) -> None:
         """Begin to keep frames as they come, or end and write them as a clip."""
@@ -381,6 +413,10 @@ class Console:
             return
         self.bench.ask(requests.StartRun(recipe=self.form.recipe(), name="the form"), "run")
 
+    def queue_run(self) -> None:
+        """Let what the form says wait for its turn."""
+        self.queue.add(self.form.name, self.form.recipe())
+
     def continue_run(self, folder: str) -> None:
         """Take what a run that ended early lacks."""
         self.bench.ask(requests.ContinueRun(folder=folder), "run")
@@ -426,6 +462,16 @@ class Console:
             self.flipping.end()
         else:
             self.flipping.begin("eyes")
+
+    def alarms_seen(self) -> None:
+        """Show the alarms nobody has seen; when they are shown, note that they are seen."""
+        if self.shows_alarms:
+            self.alarms.seen()
+        self.shows_alarms = bool(self.alarms.unseen) and not self.shows_alarms
+
+    def _alarm(self) -> None:
+        if self.settings.sound:
+            sound(settings_folder() / SOUND)
 
     def remember(self) -> None:
         """Put what is chosen now into the settings."""

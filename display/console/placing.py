@@ -78,6 +78,23 @@ def clipped(placing: Placing) -> Placing:
     return replace(placing, x=min(max(placing.x, 0.0), 1.0), y=min(max(placing.y, 0.0), 1.0))
 
 
+def inside(
+    frame: tuple[int, int, int, int], corner: tuple[int, int], other: tuple[int, int], least: int = 8
+) -> tuple[int, int, int, int] | None:
+    """Return the part (x, y, width, height) of a camera between two pixels of the frame it delivers, both included.
+
+    The frame itself is the part ``frame`` of the camera. Sides are even, as many cameras want them; None for a part
+    less than ``least`` pixels wide or high.
+    """
+    spans = []
+    for axis in range(2):
+        first, last = sorted((corner[axis], other[axis]))
+        size = min(last - first + 1, frame[2 + axis]) // 2 * 2
+        spans.append((frame[axis] + max(first, 0) // 2 * 2, size))
+    (x, width), (y, height) = spans
+    return None if min(width, height) < least else (x, y, width, height)
+
+
 def scale_bar(um_per_place: float, panel_width: float) -> tuple[float, float]:
     """Return a round length in µm, a 1, 2 or 5 with zeros, that fills up to a quarter of the panel, and its width."""
     most_um = um_per_place * panel_width * BAR_SHARE

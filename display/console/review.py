@@ -29,11 +29,14 @@ from processing.outputs import write_durably
 from processing.pictures import png_bytes
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from acquire.store import StoredRun
     from display.console.flipping import Flipping
     from display.console.journal import Journal
+    from display.movie import Sweep
     from display.relief_plots import Profile
     from display.stereo import Mode
 
@@ -43,6 +46,7 @@ if TYPE_CHECKING:
 FLAT = ("extended focus", "range", "relief")
 RESULTS = "focus"
 PAGE_FLIP: Mode = "page-flip"
+MOVIE_HZ = 25.0
 RELIEF_VIEW = (25.0, -50.0)
 
 
@@ -78,6 +82,16 @@ class Wish:
     points: tuple[tuple[float, float], ...] = ()
     threshold: float | None = None
     light: Light = field(default_factory=Light)
+
+
+@dataclass(frozen=True)
+class Film:
+    """A movie to be written: what of, how it changes, how many pictures, and where to."""
+
+    wish: Wish
+    sweep: Sweep
+    frames: int
+    path: Path
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,6 +239,11 @@ def _look(wish: Wish) -> Any:
     return replace(look, transfer=Transfer(wish.points), threshold=wish.threshold, light=wish.light)
 
 
+def _without_glasses(scene: Scene) -> Scene:
+    """Return a scene as one view if only glasses could part its two."""
+    return replace(scene, stereo=Stereo()) if scene.stereo.mode == PAGE_FLIP else scene
+
+
 class Reviewer:
     """Draws what is wished for, in a thread of its own, from the first wish on; pairs go to the shutter glasses.
 
@@ -238,6 +257,8 @@ class Reviewer:
         Of the stack read last.
     limits : (float, float)
         Grey levels shown as nothing and as full.
+    filming : str
+        How far a movie is, in words; empty without one.
     """
 
     def __init__(self, journal: Journal, flipping: Flipping) -> None:
@@ -245,6 +266,8 @@ class Reviewer:
         self.problem = ""
         self.planes = 1
         self.limits = (0.0, 4095.0)
+        self.filming = ""
+        self._film: Film | None = None
         self._journal = journal
         self._flipping = flipping
         self._wish: Wish | None = None
@@ -274,8 +297,14 @@ class Reviewer:
             write_durably(path, png_bytes(self.drawn.picture))
             self._journal.add("info", "review", f"saved {path}")
 
+    def film(self, film: Film) -> None:
+        """Have a movie written; pictures that are wished for meanwhile come after it."""
+        with self._wished:
+            self._film, self.filming = film, "a movie begins"
+            self._wished.notify()
+
     def close(self) -> None:
-        """Draw no more."""
+        """Draw no more; a movie that is not whole is not kept."""
         with self._wished:
             self._over = True
             self._wished.notify()
@@ -287,16 +316,39 @@ class Reviewer:
 
         done, data = None, Data("")
         with Renderer() as renderer:
-            while (wish := self._next(done)) is not None:
-                done = wish
+            while (asked := self._next(done)) is not None:
+                wish = asked if isinstance(asked, Wish) else asked.wish
                 if data.folder != wish.folder:
                     data = Data(wish.folder)
                 try:
-                    self.drawn = self._draw(renderer, data, wish)
+                    if isinstance(asked, Wish):
+                        done = asked
+                        self.drawn = self._draw(renderer, data, asked)
+                    else:
+                        self._write(renderer, data, asked)
                 except Exception as error:  # noqa: BLE001  the next wish must be drawn whatever this one did
                     words = f"{type(error).__name__}: {error}"
                     self.problem = error.message() if isinstance(error, StereotomeError) else words
                     self._journal.add("error", "review", self.problem)
+                finally:
+                    self.filming = "" if self._film is None else self.filming
+
+    def _write(self, renderer: Any, data: Data, film: Film) -> None:
+        """Write a movie and say how far it is."""
+        from display.movie import frames_of, write_movie  # noqa: PLC0415
+        from display.render import picture  # noqa: PLC0415
+
+        scenes = frames_of(_without_glasses(data.scene(film.wish)), film.wish.size, film.sweep, film.frames)
+
+        def pictures() -> Iterator[Picture]:
+            for number, scene in enumerate(scenes, start=1):
+                if self._over:
+                    raise InputError("the console was closed before the movie was whole.", code="movie")
+                self.filming = f"picture {number} of {len(scenes)}"
+                yield picture(renderer, scene, film.wish.size)
+
+        write_movie(film.path, pictures(), MOVIE_HZ)
+        self._journal.add("info", "review", f"saved {film.path}")
 
     def _draw(self, renderer: Any, data: Data, wish: Wish) -> Drawn:
         from display.render import picture, views  # noqa: PLC0415
@@ -308,14 +360,17 @@ class Reviewer:
         if scene.stereo.mode == PAGE_FLIP:
             left, right = (encoded(light) for light in views(renderer, scene, self._flipping.size))
             self._flipping.publish(*((right, left) if scene.stereo.swap else (left, right)))
-            scene = replace(scene, stereo=Stereo())  # beside the glasses the panel shows one view
+        scene = _without_glasses(scene)
         return Drawn(wish, picture(renderer, scene, wish.size), scene)
 
-    def _next(self, done: Wish | None) -> Wish | None:
+    def _next(self, done: Wish | None) -> Wish | Film | None:
         with self._wished:
-            while not self._over and self._wish is done:
+            while not self._over and self._wish is done and self._film is None:
                 self._wished.wait()
-            return None if self._over else self._wish
+            if self._over:
+                return None
+            film, self._film = self._film, None
+            return film or self._wish
 
 
 def first_shown() -> Shown:

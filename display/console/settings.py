@@ -37,6 +37,7 @@ class Settings:
     folder: str = "data/{date}/{name}-{run:03d}"
     operator: str = ""
     snapshots: str = "snapshots"
+    sound: bool = True
     recent: list[str] = field(default_factory=list)
 
 

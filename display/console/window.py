@@ -178,6 +178,8 @@ class ConsoleWindow:
             sections.ask(console, console.run.question)
         if console.tour is not None and console.tour.shown:
             _tour(console.tour)
+        if console.shows_alarms and console.alarms.unseen:
+            _alarms(console)
         if console.shows_keys:
             _key_list(console)
 
@@ -205,6 +207,10 @@ class ConsoleWindow:
         run = console.run
         if console.running and run is not None:
             _progress(console, run)
+        if unseen := len(console.alarms.unseen):
+            with w.coloured(w.BROWN):
+                if imgui.button(f"! {unseen} alarm{'s' if unseen > 1 else ''} (F2)"):
+                    console.alarms_seen()
         if imgui.small_button("Keys (F1)"):
             console.shows_keys = not console.shows_keys
 
@@ -285,6 +291,18 @@ def _tour(tour: Tour) -> None:
     if imgui.button("Next" if tour.step + 1 < len(STEPS) else "Close"):
         tour.forward()
     tour.shown = tour.shown and bool(opened)
+    imgui.end()
+
+
+def _alarms(console: Console) -> None:
+    imgui.set_next_window_size(w.em(34, 0), imgui.Cond_.appearing)
+    imgui.set_next_window_pos(w.em(8, 3), imgui.Cond_.appearing)
+    _, opened = imgui.begin("Alarms", True)  # noqa: FBT003  the library's
+    console.shows_alarms = bool(opened)
+    for line in console.alarms.unseen:
+        w.words(f"! {line}", w.ORANGE)
+    if w.button("Seen", "", "F2"):
+        console.alarms_seen()
     imgui.end()
 
 

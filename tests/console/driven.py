@@ -3,6 +3,7 @@
 import os
 import signal
 from dataclasses import replace
+from pathlib import Path
 
 from hand import KEY
 from imgui_bundle import imgui
@@ -22,6 +23,7 @@ def first_run(hand):
     hand.ctx.mouse_move("//Live/picture")
     hand.ctx.mouse_wheel_y(-3)
     hand.at(-2.0)
+    part_of_the_frame(hand)
     hand.enter("//Stage/µm", 50_000.0)
     hand.click("//Stage/Go")
     hand.wait(lambda: "[limit]" in console.notice)
@@ -52,8 +54,8 @@ def first_run(hand):
     hand.at(-10.0)
     hand.enter("//Stack/planes", 6)
     hand.wait(lambda: getattr(console.planned, "planes", 0) == 6)
-    hand.key(KEY.r | KEY.mod_ctrl)
-    hand.click("//Review before the start/Start now")
+    hand.click("//Stack/Queue")
+    hand.click("//Stack/Start the queue")
     hand.wait(lambda: console.run.number == 2 and console.run.state == "COMPLETED" and not console.running)
     stops(hand)
     console.tour = Tour("", started=True, lively=True)
@@ -67,6 +69,21 @@ def first_run(hand):
     hand.wait(lambda: not console.state.live)
     glasses(hand)
     crash(hand)
+
+
+def part_of_the_frame(hand):
+    """Choose a part of the frame by the mouse, and go back to the whole."""
+    console, ctx = hand.console, hand.ctx
+    width, height = console.bench.rig.camera.size_px
+    ctx.mouse_move("//Live/picture")
+    ctx.key_down(KEY.mod_ctrl)
+    ctx.mouse_drag_with_delta(imgui.ImVec2(40, 30))
+    ctx.key_up(KEY.mod_ctrl)
+    hand.wait(lambda: console.eyes.seen.pixels.shape == console.roi[:1:-1])
+    assert console.roi[0] in range(width // 2 - 2, width // 2 + 2)
+    assert console.roi[2] < width / 2
+    hand.key(KEY.w)
+    hand.wait(lambda: console.eyes.seen.pixels.shape == (height, width))
 
 
 def stops(hand):
@@ -167,6 +184,11 @@ def sections(hand):
     hand.start(shot="console_sections_review")
     hand.wait(lambda: console.run.question is not None)
     hand.shot("console_hold")
+    assert "HOLD" in console.alarms.unseen[0].words
+    hand.key(KEY.f2)
+    hand.shot("console_alarm")
+    hand.click("//Alarms/Seen")
+    assert not console.alarms.unseen
     hand.click("//The run asks/accept")
     hand.wait_state("COMPLETED")
     hand.wait(lambda: not console.running)
@@ -185,6 +207,9 @@ def reviews(hand):
         assert not panel.reviewer.problem
         assert panel.reviewer.drawn.picture.std() > 5
         hand.shot(f"console_review_{mode}")
+    panel.frames = 8
+    hand.click("//Review/Movie")
+    hand.wait(lambda: list(Path("snapshots").glob("*.mp4")) and not panel.reviewer.filming)
 
 
 def stops_sections(hand):

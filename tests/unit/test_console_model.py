@@ -2,6 +2,7 @@
 
 import tomllib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 from acquire import replies, requests
 from acquire.recipe import recipe_from_text
 from devices.errors import LimitError, StereotomeError
+from display.console import alarms
 from display.console import contrast as grey
 from display.console import placing as p
 from display.console import settings as remembered
@@ -287,3 +289,137 @@ def test_a_line_over_a_range_image_is_measured_in_um():
     assert found.distance[-1] == pytest.approx(length_um)
     assert found.height[-1] - found.height[0] == pytest.approx(0.5 * length_um, rel=1e-4)
     assert found.height[0] == pytest.approx(0.5 * (79 * pixel_um / 2 - length_um / 2), rel=1e-4)
+
+
+def run_view(number, state):
+    return replies.RunView(
+        number=number, name="r", folder="/d", state=state, phase="", section=0, sections=1, plane=0, planned=3,
+        taken=3, durable=3, missed=0,
+    )  # fmt: skip
+
+
+def told(console, run=None, state="IDLE", **changed):
+    import msgspec
+
+    console.bench.state = msgspec.structs.replace(console.bench.state, state=state, run=run, **changed)
+
+
+def starts(console):
+    return [(request.name, answered) for request, answered in console.bench.asked if type(request) is requests.StartRun]
+
+
+def started(number):
+    return replies.Started(number=number, folder="/d", planned=3)
+
+
+def test_queued_runs_follow_each_other_and_stop_at_the_first_that_does_not_complete(console):
+    for name in ("one", "two", "three"):
+        console.queue.add(name, "text")
+    console.tick()
+    assert not starts(console)
+    console.queue.move(2, -1)
+    console.queue.go(console)
+    for _ in range(3):
+        console.tick()
+    assert [name for name, _ in starts(console)] == ["one"]
+    starts(console)[0][1](started(1))
+    console.tick()  # its state is not told yet
+    told(console, run_view(1, "RUNNING"), "RUNNING")
+    console.tick()
+    assert len(starts(console)) == 1
+    told(console, run_view(1, "COMPLETED"))
+    console.tick()
+    assert [name for name, _ in starts(console)] == ["one", "three"]
+    starts(console)[1][1](started(2))
+    told(console, run_view(2, "CANCELLED"))
+    for _ in range(3):
+        console.tick()
+    assert (len(starts(console)), [each.name for each in console.queue.waiting]) == (2, ["two"])
+    assert "CANCELLED" in console.queue.held
+    assert [line.place for line in console.alarms.unseen] == ["queue"]
+
+
+def test_a_queue_waits_while_nothing_may_move_and_is_held_by_a_refusal(console):
+    console.queue.add("one", "text")
+    console.bench.stop_asked = True
+    console.queue.go(console)
+    console.tick()
+    assert not starts(console)
+    assert "STOP" in console.queue.held
+    console.bench.stop_asked = False
+    console.tick()
+    starts(console)[0][1](StereotomeError("the disk is full.", code="disk-full"))
+    console.tick()
+    assert (len(starts(console)), console.queue.held, len(console.queue.waiting)) == (1, "the disk is full.", 1)
+
+
+def test_alarms_stay_until_they_are_seen_and_sound_once(console, monkeypatch):
+    heard = []
+    monkeypatch.setattr("display.console.model.sound", heard.append)
+    console.journal.add("error", "stage", "[limit] outside")  # a person stands there
+    console.journal.add("warning", "run", "HOLD: debris?")
+    console.journal.add("error", "instrument", "fell silent")
+    console.tick()
+    console.tick()
+    assert [line.words for line in console.alarms.unseen] == ["HOLD: debris?", "fell silent"]
+    assert len(heard) == 1
+    console.alarms_seen()
+    assert console.shows_alarms
+    assert console.alarms.unseen
+    console.alarms_seen()
+    assert not console.alarms.unseen
+    console.settings.sound = False
+    console.journal.add("warning", "run", "FAILED: /d")
+    console.tick()
+    assert (len(console.alarms.unseen), len(heard)) == (1, 1)
+
+
+def test_the_sound_of_an_alarm_is_a_file_any_player_knows(tmp_path, monkeypatch):
+    import wave
+
+    played = []
+    monkeypatch.setattr("shutil.which", lambda name: name if name == "aplay" else None)
+    monkeypatch.setattr("subprocess.Popen", lambda command, **_: played.append(command))
+    alarms.sound(tmp_path / "new" / "a.wav")
+    assert played == [["aplay", str(tmp_path / "new" / "a.wav")]]
+    with wave.open(played[0][1]) as file:
+        assert 0.5 < file.getnframes() / file.getframerate() < 2
+
+
+@given(
+    st.tuples(st.integers(0, 500), st.integers(0, 500), st.integers(8, 900), st.integers(8, 900)),
+    st.data(),
+)
+def test_a_part_of_the_frame_lies_in_it_whatever_was_chosen_before(frame, data):
+    corner, other = (
+        (data.draw(st.integers(0, frame[2] - 1)), data.draw(st.integers(0, frame[3] - 1))) for _ in range(2)
+    )
+    made = p.inside(frame, corner, other)
+    if made is None:
+        assert min(abs(a - b) for a, b in zip(corner, other, strict=True)) < 9
+        return
+    x, y, width, height = made
+    assert frame[0] <= x <= x + width <= frame[0] + frame[2]
+    assert frame[1] <= y <= y + height <= frame[1] + frame[3]
+    assert min(width, height) >= 8
+    assert width % 2 == height % 2 == 0
+
+
+def test_a_part_is_chosen_in_the_whole_frame_and_then_within_the_part(console):
+    from devices.rig import load_rig
+
+    console.bench.rig = load_rig(Path(__file__).parents[2] / "sim" / "default_instrument.toml")
+    width, height = console.bench.rig.camera.size_px
+    console.eyes = FakeEyes()
+    console.eyes.seen = look(1, np.zeros((height, width), np.uint16), None, 4095)
+    console.choose_part((100, 60), (219, 139))
+    assert console.bench.asked[-1][0].roi == (100, 60, 120, 80)
+    console.eyes.seen = look(2, np.zeros((80, 120), np.uint16), None, 4095)
+    console.choose_part((39, 29), (10, 10))
+    assert console.bench.asked[-1][0].roi == (110, 70, 30, 20)
+    asked = len(console.bench.asked)
+    console.eyes.seen = look(3, np.zeros((33, 44), np.uint16), None, 4095)  # chosen by somebody else
+    console.choose_part((0, 0), (20, 20))
+    assert (len(console.bench.asked), "elsewhere" in console.notice) == (asked, True)
+    console.set_roi(None)
+    assert console.bench.asked[-1][0].roi == (0, 0, width, height)

@@ -56,7 +56,9 @@ def _frames(console: Console) -> None:
     elif not imgui.is_item_active():
         console.exposure_ms = exposure_ms
     imgui.same_line()
-    if w.button("Whole frame", why_not, "deliver all of the frame again"):
+    if w.button(
+        "Whole frame", why_not, "W: deliver all of the frame again; Ctrl and drag in the picture chooses a part"
+    ):
         console.set_roi(None)
 
 

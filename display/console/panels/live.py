@@ -23,6 +23,7 @@ BLACK = 0xFF000000
 SHADE = 0xA0000000
 YELLOW = 0xFF30D0FF
 LINE_EM = 5.0
+Line = tuple[tuple[int, int], tuple[int, int]]
 
 
 class LivePanel:
@@ -30,8 +31,9 @@ class LivePanel:
 
     def __init__(self, canvas: Canvas) -> None:
         self._picture = LivePicture(canvas)
-        self._line: tuple[tuple[int, int], tuple[int, int]] | None = None
+        self._line: Line | None = None
         self._from: tuple[int, int] | None = None
+        self._part: Line | None = None
 
     def draw(self, console: Console) -> None:
         """Draw the panel."""
@@ -49,7 +51,7 @@ class LivePanel:
         hovered = imgui.is_item_hovered()
         imgui.set_cursor_screen_pos(at)
         imgui.invisible_button("picture", imgui.ImVec2(*panel))
-        if hovered or imgui.is_item_active():
+        if hovered or imgui.is_item_active() or self._part is not None:
             self._hands(console, fit, at, panel)
         self._over(console, seen, fit, at, panel)
 
@@ -74,13 +76,25 @@ class LivePanel:
             console.jog(io.mouse_wheel, faster=io.key_shift)
         pixel = fit.pixel_at(*mouse)
         if imgui.is_mouse_clicked(imgui.MouseButton_.left):
+            self._part = (pixel, pixel) if io.key_ctrl and pixel is not None else None
             self._from = pixel if io.key_shift else None
             self._line = None if io.key_shift else self._line
-        if imgui.is_mouse_dragging(imgui.MouseButton_.left):
+        if self._part is not None:
+            self._choose(console, pixel)
+        elif imgui.is_mouse_dragging(imgui.MouseButton_.left):
             if self._from is not None and pixel is not None:
                 self._line = (self._from, pixel)
             elif self._from is None:
                 console.placing = placing.moved(console.placing, io.mouse_delta.x, io.mouse_delta.y, fit)
+
+    def _choose(self, console: Console, pixel: tuple[int, int] | None) -> None:
+        """Follow a part of the frame that is being chosen; with the button let go it is."""
+        assert self._part is not None
+        if pixel is not None:
+            self._part = (self._part[0], pixel)
+        if imgui.is_mouse_released(imgui.MouseButton_.left):
+            part, self._part = self._part, None
+            console.choose_part(*part)
 
     def _over(self, console: Console, seen: Seen, fit: Fit, at: imgui.ImVec2, panel: tuple[float, float]) -> None:
         """Draw what lies over the picture."""
@@ -93,6 +107,8 @@ class LivePanel:
         _value(console, seen, fit, lines, at)
         if self._line is not None:
             _profile(seen, self._line, fit, lines, at, panel)
+        if self._part is not None:
+            _frame(lines, at, fit, self._part)
         lines.pop_clip_rect()
 
 
@@ -104,6 +120,16 @@ def _cross(lines: imgui.ImDrawList, at: imgui.ImVec2, fit: Fit) -> None:
     for colour, off in ((BLACK, 1), (YELLOW, 0)):
         lines.add_line(imgui.ImVec2(left, y + off), imgui.ImVec2(right, y + off), colour)
         lines.add_line(imgui.ImVec2(x + off, top), imgui.ImVec2(x + off, bottom), colour)
+
+
+def _frame(lines: imgui.ImDrawList, at: imgui.ImVec2, fit: Fit, part: Line) -> None:
+    """Draw the part that is being chosen, and how large it is."""
+    (x0, y0), (x1, y1) = part
+    left, right, top, bottom = min(x0, x1), max(x0, x1) + 1, min(y0, y1), max(y0, y1) + 1
+    corners = [fit.place_of(left, top), fit.place_of(right, bottom)]
+    (x, y), low = corners[0], corners[1]
+    lines.add_rect(imgui.ImVec2(at.x + x, at.y + y), imgui.ImVec2(at.x + low[0], at.y + low[1]), YELLOW, 0.0, 2.0)
+    _text(lines, at.x + x, at.y + y - w.em(1.4).x, f"{right - left} × {bottom - top}")
 
 
 def _scale_bar(
@@ -137,7 +163,7 @@ def _value(console: Console, seen: Seen, fit: Fit, lines: imgui.ImDrawList, at: 
 
 def _profile(
     seen: Seen,
-    line: tuple[tuple[int, int], tuple[int, int]],
+    line: Line,
     fit: Fit,
     lines: imgui.ImDrawList,
     at: imgui.ImVec2,
@@ -156,7 +182,7 @@ def _profile(
     _text(lines, at.x + w.em(0.5).x, top - w.em(1.4).x, f"grey levels {low:.0f} … {high:.0f} along {len(levels)} px")
 
 
-def along(pixels: np.ndarray, line: tuple[tuple[int, int], tuple[int, int]]) -> np.ndarray:
+def along(pixels: np.ndarray, line: Line) -> np.ndarray:
     """Return the grey levels along a line between two pixels (column, row), the nearest pixel at every step of one."""
     (x0, y0), (x1, y1) = line
     count = max(abs(x1 - x0), abs(y1 - y0)) + 1

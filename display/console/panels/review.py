@@ -15,15 +15,17 @@ from display import controls
 from display.console.contrast import TABLES
 from display.console.flipping import REVIEW
 from display.console.panels import widgets as w
-from display.console.review import FLAT, PAGE_FLIP, RESULTS, Reviewer, Wish, first_shown
+from display.console.review import FLAT, PAGE_FLIP, RESULTS, Film, Reviewer, Wish, first_shown
 from display.controls import STEREOS
 from display.gl.live_picture import StillPicture
+from display.movie import SWEEPS
 from display.scene import Light
 
 if TYPE_CHECKING:
     from display.console.model import Console
     from display.console.review import Drawn, Line
     from display.gl.canvas import Canvas
+    from display.movie import Sweep
     from display.stereo import Mode
 
 YELLOW = 0xFF30D0FF
@@ -35,6 +37,7 @@ BUTTONS: tuple[tuple[imgui.MouseButton_, Literal["left", "right", "middle"]], ..
     (imgui.MouseButton_.middle, "middle"),
 )
 OWN = "own colours"
+FRAMES = 120
 STEREO_KINDS: tuple[Mode, ...] = (STEREOS[0], PAGE_FLIP, *STEREOS[1:])
 
 
@@ -52,6 +55,8 @@ class ReviewPanel:
         self.light = (-35.0, 40.0)
         self.line: Line | None = None
         self._field = ""
+        self.sweep: Sweep = "rotation"
+        self.frames = FRAMES
 
     def draw(self, console: Console) -> None:
         """Draw the panel."""
@@ -79,6 +84,28 @@ class ReviewPanel:
         imgui.same_line()
         if w.button("Save picture", "" if self.reviewer.drawn is not None else "there is no picture"):
             self._save(console)
+        self._movie(console)
+
+    def _movie(self, console: Console) -> None:
+        """Draw what makes a movie of what is shown."""
+        drawn, filming = self.reviewer.drawn, self.reviewer.filming
+        imgui.same_line()
+        why_not = filming or ("" if drawn is not None else "there is no picture")
+        why_not = why_not or ("a flat picture stays as it is" if self.shown.mode in FLAT[:2] else "")
+        if w.button("Movie", why_not, f"{self.frames} pictures as MP4: {self.sweep}") and drawn is not None:
+            self.reviewer.film(Film(drawn.wish, self.sweep, self.frames, self._free(console, ".mp4")))
+        imgui.same_line()
+        self.sweep = SWEEPS[SWEEPS.index(w.choice("##sweep", SWEEPS, self.sweep, 6))]  # type: ignore[assignment]
+        if filming:
+            w.words(filming, w.BLUE)
+
+    def _free(self, console: Console, suffix: str) -> Path:
+        """Return a file that does not exist, named after what is shown."""
+        folder = Path(console.settings.snapshots)
+        folder.mkdir(parents=True, exist_ok=True)
+        name = f"{Path(self.folder).name}-{self.shown.mode.replace(' ', '-')}-{self.shown.stereo.mode}"
+        free = (folder / f"{name}{f'-{n}' if n else ''}{suffix}" for n in range(10_000))
+        return next(path for path in free if not path.exists())
 
     def _open(self, folder: str) -> None:
         self.folder = self._field = folder
@@ -87,12 +114,8 @@ class ReviewPanel:
             self.shown = replace(self.shown, mode="orthogonal")
 
     def _save(self, console: Console) -> None:
-        folder = Path(console.settings.snapshots)
-        name = f"{Path(self.folder).name}-{self.shown.mode.replace(' ', '-')}-{self.shown.stereo.mode}"
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            free = (folder / f"{name}{f'-{n}' if n else ''}.png" for n in range(10_000))
-            self.reviewer.save(next(path for path in free if not path.exists()))
+            self.reviewer.save(self._free(console, ".png"))
         except OSError as error:
             console.journal.add("error", "review", f"not saved: {error}")
 

@@ -24,6 +24,7 @@ def draw(console: Console) -> None:
     if w.button("Into the journal of this run", running, "adds these notes, with their time"):
         console.note(form.notes)
     console.settings.snapshots = w.text_field("snapshots go to", console.settings.snapshots, 10)
+    _, console.settings.sound = imgui.checkbox("a sound at alarms", console.settings.sound)
     form.keep_free_gb = max(0.0, w.number("GB to keep free", form.keep_free_gb, 5)[1])
     if imgui.tree_node("the recipe this makes"):
         imgui.input_text_multiline("##recipe", form.recipe(), w.em(22, 14), imgui.InputTextFlags_.read_only)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
+from acquire.replies import Planned
 from acquire.state import FINAL
 from acquire.words import took
 from devices.errors import StereotomeError
@@ -14,8 +15,9 @@ from display.console.panels import widgets as w
 from display.console.stack_form import RETURNS, SPACINGS
 
 if TYPE_CHECKING:
-    from acquire.replies import Planned, RunView
+    from acquire.replies import RunView
     from display.console.model import Console
+    from display.console.run_queue import RunQueue
 
 SPACING_WORDS = {
     "planes": "number of planes",
@@ -44,11 +46,20 @@ def draw(console: Console) -> None:
     why_not = console.why_no_start()
     if w.button("Review and start...", why_not, "Ctrl+R"):
         console.reviewing = True
+    imgui.same_line()
+    _queue_button(console)
     if why_not:
         w.words(f"! {why_not}", w.ORANGE)
+    queue(console)
     if console.run is not None:
         imgui.separator()
         _last(console, console.run)
+
+
+def _queue_button(console: Console) -> None:
+    planned = isinstance(console.planned, Planned)
+    if w.button("Queue", "" if planned else "it cannot be carried out as it is", "Ctrl+Q: wait for its turn"):
+        console.queue_run()
 
 
 def _form(console: Console) -> None:
@@ -125,6 +136,41 @@ def _under_way(console: Console, run: RunView) -> None:
     transport(console, run)
     if run.pausing and run.state != "PAUSED":
         w.words(f"pauses {SCOPE_WORDS.get(run.pausing, run.pausing)}", w.BLUE)
+    queue(console)
+    if imgui.collapsing_header("the next run"):
+        _form(console)
+        _cost(console)
+        _queue_button(console)
+
+
+def queue(console: Console) -> None:
+    """Draw the runs that wait."""
+    waiting = console.queue
+    if not waiting.waiting:
+        return
+    imgui.separator_text(f"{len(waiting.waiting)} waiting")
+    if waiting.going:
+        if w.button("Hold the queue", "", "the run under way goes on, none is started after it"):
+            waiting.hold("held by hand")
+    elif w.button("Start the queue", "", "one after the other, each when the one before has completed"):
+        waiting.go(console)
+    if waiting.held:
+        w.words(f"! {waiting.held}", w.ORANGE)
+    _waiting(waiting)
+
+
+def _waiting(waiting: RunQueue) -> None:
+    """Draw each run that waits, with what takes it out or brings it forward."""
+    for place, each in enumerate(list(waiting.waiting)):
+        imgui.push_id(place)
+        if w.button("x", "", "take it out"):
+            waiting.waiting.remove(each)
+        imgui.same_line()
+        if w.button("^", "" if place else "it is the next", "sooner"):
+            waiting.move(place, -1)
+        imgui.same_line()
+        imgui.text(each.name)
+        imgui.pop_id()
 
 
 def transport(console: Console, run: RunView) -> None:
@@ -139,6 +185,7 @@ def transport(console: Console, run: RunView) -> None:
         imgui.same_line()
         if w.button("Pause", why_not, "Ctrl+R"):
             console.pause()
+    imgui.same_line()
     if w.button("Abort", why_not, "ends after the exposure in work; what was taken is kept, the stage goes back"):
         console.abort()
 

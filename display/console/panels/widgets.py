@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 ORANGE = imgui.ImVec4(0.95, 0.6, 0.15, 1)  # told apart from blue by all eyes; words stand beside every colour
 BLUE = imgui.ImVec4(0.35, 0.65, 1.0, 1)
 GREY = imgui.ImVec4(0.65, 0.65, 0.65, 1)
+BROWN = imgui.ImVec4(0.6, 0.35, 0.0, 1)
 RED = imgui.ImVec4(0.85, 0.12, 0.1, 1)
 TALL = 1.3
 
