@@ -117,16 +117,28 @@ def check_config(files: list[Path], /) -> int:
 def _check(path: Path) -> str:
     from devices.toml_model import load_model  # noqa: PLC0415  `devices list` does without the file reader
 
-    kind = _kind_of(path)
+    try:
+        kind = kind_of(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        kind = "instrument"
     load_model(path, _models()[kind], RigError)
     return kind
 
 
-def _kind_of(path: Path) -> str:
-    """Return the kind of file whose tables ``path`` has; one that cannot be read counts as an instrument file."""
+def check_text(text: str, name: str) -> str:
+    """Return the kind of file a text is, instrument or recipe; raises `RigError` with everything wrong in it."""
+    from devices.toml_model import load_text  # noqa: PLC0415
+
+    kind = kind_of(text)
+    load_text(text, name, _models()[kind], RigError)
+    return kind
+
+
+def kind_of(text: str) -> str:
+    """Return the kind of file whose tables a text has; one that cannot be read counts as an instrument file."""
     try:
-        keys = tomllib.loads(path.read_text(encoding="utf-8")).keys()
-    except (OSError, ValueError):
+        keys = tomllib.loads(text).keys()
+    except ValueError:
         return "instrument"
     return max(_models(), key=lambda kind: len(keys & _tables(kind)))
 

@@ -12,6 +12,7 @@ from devices.clock import SystemClock
 from devices.errors import StereotomeError
 from display.console import contrast as grey
 from display.console.alarms import SOUND, Alarms, sound
+from display.console.files import FileEditor
 from display.console.flipping import Flipping
 from display.console.journal import words_of
 from display.console.moving import Jogger, Marks
@@ -20,6 +21,7 @@ from display.console.run_queue import RunQueue
 from display.console.settings import settings_folder
 from display.console.snapshots import write_clip, write_snapshot
 from display.console.stack_form import Advice, StackForm, advice
+from display.console.sticks import Stick
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -65,6 +67,9 @@ class Console:
             paint=settings.paint,
             ignored_percent=settings.ignored_percent,
         )
+        self.stick = Stick(settings.stick_um_s)
+        self.in_front = True
+        self.files = FileEditor()
         self.queue = RunQueue()
         self.alarms = Alarms(journal, self._alarm)
         self.shows_alarms = False
@@ -167,6 +172,7 @@ class Console:
         self.alarms.tick()
         self.queue.tick(self)
         self._follow()
+        self._stick_due()
         self._jog_due()
         self._plan_due()
         if self.tour is not None:
@@ -179,6 +185,10 @@ class Console:
         if self._fits_first:
             self._fits_first, self.contrast = False, grey.fitted(self.contrast, seen.histogram)
         self.contrast = grey.followed(self.contrast, seen.histogram)
+
+    def _stick_due(self) -> None:
+        why_not = self.why_no_motion() or ("" if self.in_front else "the console's window is not in front")
+        self.stick.tick(self.jogger, self._clock.now(), why_not)
 
     def _jog_due(self) -> None:
         if self.jogger.wanted_um and (words := self.why_no_motion()):
@@ -209,6 +219,7 @@ class Console:
     def stop(self) -> None:
         """Stop all motion now; latches."""
         self.jogger.forget()
+        self.stick.block()
         self.bench.stop()
 
     def release_stop(self) -> None:
@@ -260,6 +271,7 @@ class Console:
         self.jogger.done()
         if isinstance(answer, StereotomeError):
             self.jogger.forget()
+            self.stick.block()
             self.notice = words_of(answer)
 
     def _refuse(self, words: str) -> None:
@@ -477,5 +489,6 @@ class Console:
         """Put what is chosen now into the settings."""
         for name in ("gamma", "table", "paint", "ignored_percent"):
             setattr(self.settings, name, getattr(self.contrast, name))
+        self.settings.stick_um_s = self.stick.top_um_s
         self.settings.jog = self.jogger.chosen
         self.settings.folder, self.settings.operator = self.form.folder, self.form.operator

@@ -42,6 +42,10 @@ class Jogger:
         """Ask for so many steps, tenfold if ``faster``."""
         self.wanted_um += steps * self.step_um * (FASTER if faster else 1.0)
 
+    def drive(self, by_um: float, most_um: float) -> None:
+        """Ask for a little more, as a stick does; what waits is never more than so much."""
+        self.wanted_um = min(max(self.wanted_um + by_um, -most_um), most_um)
+
     def due_um(self) -> float:
         """Return what to send now, 0 for nothing; it counts as sent."""
         if self.under_way or not self.wanted_um:

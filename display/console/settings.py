@@ -38,6 +38,8 @@ class Settings:
     operator: str = ""
     snapshots: str = "snapshots"
     sound: bool = True
+    stick_um_s: float = 100.0
+    pads: dict[str, list[int]] = field(default_factory=dict)
     recent: list[str] = field(default_factory=list)
 
 

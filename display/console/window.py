@@ -12,7 +12,7 @@ from imgui_bundle import hello_imgui, imgui, immapp
 from acquire.words import took
 from devices.errors import DisplayError, StereotomeError
 from display.console.keys import BINDINGS, MOUSE
-from display.console.panels import camera, glasses, live, log, review, sections, session, stack, stage
+from display.console.panels import camera, files, glasses, live, log, review, sections, session, stack, stage
 from display.console.panels import widgets as w
 from display.console.review import Reviewer
 from display.console.tour import STEPS
@@ -29,7 +29,7 @@ logger = logging.getLogger(__name__)
 TITLE = "Stereotome"
 SIZE = (1280, 720)
 BUSY_HZ, IDLE_HZ = 30.0, 3.0
-LAYOUT = "console-2"
+LAYOUT = "console-3"
 
 
 class ConsoleWindow:
@@ -54,7 +54,8 @@ class ConsoleWindow:
             "Camera": camera.draw,
             "Stack": stack.draw,
             "Sections": sections.draw,
-            "Session": session.draw,
+            "Session": session.SessionPanel().draw,
+            "Files": files.draw,
             "Glasses": glasses.draw,
             "Log": log.LogPanel().draw,
         }
@@ -136,6 +137,7 @@ class ConsoleWindow:
             "Sections": "Right",
             "Session": "Right",
             "Glasses": "Right",
+            "Files": "Right",
             "Live": "MainDockSpace",
             "Review": "MainDockSpace",
             "Log": "Below",
@@ -169,8 +171,10 @@ class ConsoleWindow:
     def _every_frame(self, console: Console) -> None:
         """Take keys, do what is due, and draw what floats."""
         self._keys(console)
+        console.in_front = not imgui.get_io().app_focus_lost
         console.tick()
-        console_busy = console.running or (console.state is not None and console.state.live)
+        live = console.state is not None and console.state.live
+        console_busy = console.running or live or console.stick.device is not None
         self.params.fps_idling.fps_idle = BUSY_HZ if console_busy else IDLE_HZ
         if console.reviewing:
             self._review(console)

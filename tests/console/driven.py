@@ -8,6 +8,7 @@ from pathlib import Path
 from hand import KEY
 from imgui_bundle import imgui
 
+from display.console.sticks import Scripted
 from display.console.tour import Tour
 
 
@@ -57,6 +58,8 @@ def first_run(hand):
     hand.click("//Stack/Queue")
     hand.click("//Stack/Start the queue")
     hand.wait(lambda: console.run.number == 2 and console.run.state == "COMPLETED" and not console.running)
+    by_stick(hand)
+    files(hand)
     stops(hand)
     console.tour = Tour("", started=True, lively=True)
     hand.click("//Tour/Next")
@@ -84,6 +87,37 @@ def part_of_the_frame(hand):
     assert console.roi[2] < width / 2
     hand.key(KEY.w)
     hand.wait(lambda: console.eyes.seen.pixels.shape == (height, width))
+
+
+def by_stick(hand):
+    """Move the stage by a scripted stick: up while its button is held, and no more when it falls silent."""
+    console = hand.console
+    now_s, from_um = console._clock.now(), console.state.z_um
+    console.stick.top_um_s = 60.0
+    console.stick.use(Scripted([(now_s, 0.0, False), (now_s + 0.5, 1.0, True), (now_s + 1.5, None, True)]))
+    hand.wait(lambda: "let its button go" in console.stick.still or "heard" in console.stick.still)
+    hand.wait(lambda: not console.jogger.under_way)
+    console.stick.use(None)
+    hand.wait(lambda: console.state.z_age_s < 0.2)
+    assert from_um + 3 < console.state.z_um < from_um + 90
+
+
+def files(hand):
+    """Edit the form's recipe as a file: wrong, told where, then good and saved."""
+    editor = hand.console.files
+    hand.ctx.window_focus("//Files")
+    hand.click("//Files/The form as a recipe")
+    hand.wait(lambda: editor.good)
+    hand.ctx.item_input("//Files/##text")
+    hand.ctx.key_chars("planes")
+    hand.ctx.item_click("//Files/Check")
+    hand.wait(lambda: not editor.good)
+    assert "recipe.toml:1" in editor.words
+    hand.shot("console_files")
+    hand.click("//Files/The form as a recipe")
+    hand.click("//Files/Save")
+    assert Path("recipe.toml").read_text() == editor.text
+    hand.ctx.window_focus("//Stack")
 
 
 def stops(hand):

@@ -17,6 +17,7 @@ from display.console import contrast as grey
 from display.console import placing as p
 from display.console import settings as remembered
 from display.console.eyes import look
+from display.console.files import FileEditor
 from display.console.journal import Journal, event_words
 from display.console.keys import BINDINGS
 from display.console.model import Console
@@ -403,6 +404,47 @@ def test_a_part_of_the_frame_lies_in_it_whatever_was_chosen_before(frame, data):
     assert frame[1] <= y <= y + height <= frame[1] + frame[3]
     assert min(width, height) >= 8
     assert width % 2 == height % 2 == 0
+
+
+RECIPE = "schema = 1\n[stack]\ntop_um = 1.0\nbottom_um = -1.0\nplanes = 3\n"
+
+
+def test_a_file_is_checked_as_the_command_line_does_and_only_a_good_one_is_written(tmp_path):
+    path = tmp_path / "r.toml"
+    path.write_text(RECIPE)
+    files = FileEditor(str(path))
+    files.open()
+    assert (files.good, files.kind, files.changed) == (True, "recipe", False)
+    files.text = RECIPE.replace("planes = 3", "plains = 3")
+    files.save()
+    assert not files.good
+    assert "r.toml:5" in files.words
+    assert "did you mean 'planes'?" in files.words
+    assert path.read_text() == RECIPE
+    files.text = RECIPE.replace("3", "5")
+    files.save()
+    assert (files.good, path.read_text()) == (True, files.text)
+    path.write_text("# somebody else\n" + RECIPE)
+    files.text = RECIPE.replace("3", "7")
+    files.save()
+    assert "changed meanwhile" in files.words
+    assert path.read_text().startswith("# somebody")
+
+
+def test_files_that_cannot_be_read_or_written_are_told(tmp_path):
+    files = FileEditor(str(tmp_path / "none.toml"))
+    files.open()
+    assert "cannot be read" in files.words
+    (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
+    files.path = str(tmp_path / "binary")
+    files.open()
+    assert "cannot be read" in files.words
+    files.begin(str(tmp_path / "no" / "folder.toml"), RECIPE)
+    files.save()
+    assert "not written" in files.words
+    files.begin(str(tmp_path / "rig.toml"), (Path(__file__).parents[2] / "sim/default_instrument.toml").read_text())
+    files.save()
+    assert "next start" in files.words
 
 
 def test_a_part_is_chosen_in_the_whole_frame_and_then_within_the_part(console):

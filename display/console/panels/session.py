@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from imgui_bundle import imgui
 
 from display.console.panels import widgets as w
+from display.console.panels.sticks import StickPanel
 
 if TYPE_CHECKING:
     from display.console.model import Console
@@ -14,8 +15,21 @@ if TYPE_CHECKING:
 ROWS_EM = 7.0
 
 
-def draw(console: Console) -> None:
-    """Draw the panel."""
+class SessionPanel:
+    """Holds what belongs to the stick."""
+
+    def __init__(self) -> None:
+        self._sticks = StickPanel()
+
+    def draw(self, console: Console) -> None:
+        """Draw the panel."""
+        _notes(console)
+        if imgui.tree_node("gamepad or 3-D mouse"):
+            self._sticks.draw(console)
+            imgui.tree_pop()
+
+
+def _notes(console: Console) -> None:
     form = console.form
     form.operator = w.text_field("operator", form.operator, 10)
     imgui.text("notes kept with the next run")
