@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json as notation
 import sys
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from pathlib import Path  # noqa: TC003  the command line is made from the annotations
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
@@ -14,25 +13,20 @@ from cyclopts import Parameter
 from acquire.progress import progress
 from devices.clock import SystemClock
 from devices.errors import InputError
-from processing.align_fiducials import Marks, read_marks
 from processing.align_fill import MADE, bridges, marked
-from processing.align_isotropy import Isotropic, elongation, mapped, shortened, tensors
-from processing.align_mark_search import find_marks
-from processing.align_methods import Method  # noqa: TC001  the command line is made from the annotations
-from processing.align_models import Model
+from processing.align_isotropy import Isotropic  # noqa: TC001  the command line is made from the annotations
+from processing.align_methods import Method  # noqa: TC001
 from processing.align_report import files_of, write_alignment
-from processing.align_stack import FLAGS, Alignment, SectionAligner, choose_model
-from processing.align_trend import Trend, drift, with_trend
-from processing.outputs import about_stack, peak_memory_mb, versions
+from processing.align_stack import FLAGS
+from processing.align_trend import Trend  # noqa: TC001
+from processing.align_work import Choice, Work
 from processing.result_folder import check_results
-from processing.stack import Stack, open_stack
+from processing.stack import open_stack
 
 if TYPE_CHECKING:
-    from devices.protocols import Clock
+    from processing.stack import Stack
 
 Switch = Parameter(negative="")
-Choice = Model | Literal["auto"]
-GAP = 1.5  # times the usual distance of sections
 
 
 def align(
@@ -99,7 +93,7 @@ def align(
     check_results(output, files_of(method), overwrite=overwrite)
     opened = open_stack(stack, step_um=step_um, channel=channel, time=time)
     check_reference(opened, reference)
-    work = Work(opened, model, method, fiducials, reference, trend, isotropic, SystemClock())
+    work = Work(opened, SystemClock(), model, method, fiducials, reference, trend, isotropic)
     alignment, report = work.solved(quiet=quiet)
     made = bridges(alignment, opened.z_um) if interpolate else {}
     alignment = marked(alignment, made)
@@ -124,119 +118,6 @@ def check_reference(stack: Stack, reference: int) -> None:
             fix="choose one of these: --reference N",
             code="align-reference",
         )
-
-
-@dataclass(frozen=True)
-class Work:
-    """A stack to be aligned and how."""
-
-    stack: Stack
-    model: Choice
-    method: Method
-    fiducials: str | None
-    reference: int
-    trend: Trend
-    isotropic: Isotropic | None
-    clock: Clock
-
-    def solved(self, *, quiet: bool) -> tuple[Alignment, dict[str, Any]]:
-        """Align the stack; returns the report, too."""
-        begin = self.clock.now()
-        model, why = choose_model(self.stack) if self.model == "auto" else (self.model, "")
-        aligner = SectionAligner(model, self.method)
-        with progress("matching sections", len(self.stack), quiet=quiet) as show:
-            for k in range(len(self.stack)):
-                aligner.add(self.stack[k])
-                show(k + 1)
-        marks = self._marks(aligner)
-        anchors = marks.rows(model, self.reference) if marks else ()
-        alignment = aligner.finish(self.reference, anchors, gaps(self.stack))
-        notes = [*self.stack.notes, *([why] if why else []), *([marks.words()] if marks else [])]
-        if not marks:
-            drifted = drift(list(alignment.matrices), alignment.shape)
-            notes.append(drifted.words(len(self.stack)))
-            alignment = self._with_trend(alignment)
-        if self.isotropic is not None and not marks:
-            alignment, said = uncompressed(self.stack, alignment, self.isotropic)
-            notes.append(said)
-        return alignment, self._report(alignment, notes, round(self.clock.now() - begin, 3))
-
-    def _marks(self, aligner: SectionAligner) -> Marks | None:
-        if self.fiducials is None:
-            return None
-        if self.fiducials == "auto":
-            return find_marks(self.stack, aligner.finish(self.reference).matrices, self.reference)
-        return read_marks(Path(self.fiducials), self.stack)
-
-    def _with_trend(self, alignment: Alignment) -> Alignment:
-        matrices = with_trend(list(alignment.matrices), alignment.shape, self.trend, self.reference)
-        return alignment.with_matrices(matrices)
-
-    def _report(self, alignment: Alignment, notes: list[str], seconds: float) -> dict[str, Any]:
-        told = [f"section {s.index} {FLAGS[flag]} ({flag})." for s in alignment.sections for flag in s.flags]
-        return {
-            "format": "stereotome-align",
-            "version": 1,
-            **about_stack(self.stack),
-            "notes": [*notes, *told],
-            "model": alignment.model,
-            "method": self.method,
-            "reference": alignment.reference,
-            "fiducials": self.fiducials,
-            "trend": self.trend if self.fiducials is None else None,
-            "isotropic": self.isotropic if self.fiducials is None else None,
-            "loop_px": alignment.loop_px,
-            "pairs": pair_table(alignment),
-            "flags": {str(s.index): list(s.flags) for s in alignment.sections if s.flags},
-            "seconds": seconds,
-            "peak_memory_mb": round(peak_memory_mb(), 1),
-            "versions": versions(),
-            "files": list(files_of(self.method)),
-        }
-
-
-def uncompressed(stack: Stack, alignment: Alignment, kind: Isotropic) -> tuple[Alignment, str]:
-    """Take out the compression that the looks of all sections, put on each other, show; says what it was."""
-    groups = [mapped(tensors(stack[s.index], kind), s.matrix) for s in alignment.sections if not s.flags]
-    found = elongation(groups, kind)
-    if found is None:
-        return alignment, f"--isotropic {kind}: fewer than three sections show enough of it; nothing was taken out."
-    back = np.eye(3)
-    back[:2, :2] = shortened(found)
-    middle = (np.array(alignment.shape[1::-1]) - 1) / 2
-    back[:2, 2] = middle - back[:2, :2] @ middle
-    said = (
-        f"taken for isotropic by its {kind}, section {alignment.reference} is compressed by {found.compression:.2%} ± "
-        f"{found.compression_error:.2%} along {found.direction_deg:.1f}° ± {found.direction_error_deg:.1f}°; all "
-        "sections were stretched back by that."
-    )
-    return alignment.with_matrices([s.matrix @ back for s in alignment.sections]), said
-
-
-def pair_table(alignment: Alignment) -> list[dict[str, Any]]:
-    """Return what was found for every pair."""
-    return [
-        {
-            "first": i,
-            "second": j,
-            "start": found.start,
-            "correlation": round(found.correlation, 4),
-            "noise_error_px": round(found.error_px, 5),
-            "inliers": round(found.inliers, 3),
-            "overlap": round(found.overlap, 3),
-            "mismatch": found.mismatch,
-            "believed": found.believed,
-        }
-        for (i, j), found in alignment.pairs.items()
-    ]
-
-
-def gaps(stack: Stack) -> list[int]:
-    """Return the sections that come after others that are missing, by their positions."""
-    if stack.z_um is None or len(stack) < 3:
-        return []
-    steps = np.abs(np.diff(stack.z_um))
-    return [int(k) + 1 for k in np.flatnonzero(steps > GAP * np.median(steps))]
 
 
 def summary(report: dict[str, Any], folder: Path) -> str:

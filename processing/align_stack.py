@@ -153,6 +153,16 @@ class SectionAligner:
         self._recent.append((index, seen))
         return self._chain[index]
 
+    def forget_last(self) -> None:
+        """Take the last section back: it is taken again."""
+        self._count -= 1
+        last = self._count
+        self.pairs = {pair: found for pair, found in self.pairs.items() if last not in pair}
+        self.blank = [k for k in self.blank if k != last]
+        self._chain.pop(last)
+        if self._recent and self._recent[-1][0] == last:
+            self._recent.pop()
+
     def _match_back(self, index: int, seen: View) -> None:
         """Match with the sections before, further back until enough pairs are believed."""
         believed = 0

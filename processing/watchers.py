@@ -72,7 +72,7 @@ class Statistics:
     def write(self, folder: Path) -> None:
         """Write the table."""
         head = ("slot", "section", "band", "plane", "z_um", "mean", "sd", "min", "max", "saturated")
-        _write_csv(folder / "statistics.csv", head, ((slot, *row) for slot, row in sorted(self._rows.items())))
+        keep_csv(folder / "statistics.csv", head, ((slot, *row) for slot, row in sorted(self._rows.items())))
 
 
 class FocusScore:
@@ -88,7 +88,7 @@ class FocusScore:
     def write(self, folder: Path) -> None:
         """Write the table."""
         head = ("slot", "section", "band", "plane", "z_um", "score")
-        _write_csv(folder / "focus_score.csv", head, ((slot, *row) for slot, row in sorted(self._rows.items())))
+        keep_csv(folder / "focus_score.csv", head, ((slot, *row) for slot, row in sorted(self._rows.items())))
 
 
 class Histogram:
@@ -106,7 +106,7 @@ class Histogram:
         """Write the counts."""
         edges = np.linspace(*self._range, BINS + 1)
         total = np.sum(list(self._counts.values()), axis=0) if self._counts else np.zeros(BINS)
-        _write_csv(folder / "histogram.csv", ("from", "to", "pixels"), zip(edges[:-1], edges[1:], total, strict=True))
+        keep_csv(folder / "histogram.csv", ("from", "to", "pixels"), zip(edges[:-1], edges[1:], total, strict=True))
 
 
 class Reslice:
@@ -135,7 +135,8 @@ class Reslice:
         _keep(folder / "reslice.png", cv2.imencode(".png", shown)[1].tobytes())
 
 
-def _write_csv(path: Path, head: tuple[str, ...], rows: Iterable[Iterable[object]]) -> None:
+def keep_csv(path: Path, head: tuple[str, ...], rows: Iterable[Iterable[object]]) -> None:
+    """Write a table in one durable step."""
     text = io.StringIO()
     table = csv.writer(text)
     table.writerow(head)
