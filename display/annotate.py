@@ -36,8 +36,12 @@ NICE = (1, 2, 5)
 
 def over(light: Light, overlay: NDArray[np.uint8]) -> Light:
     """Lay an overlay, RGBA of sRGB levels, over linear light, (height, width, 3)."""
-    share = overlay[..., 3:].astype(np.float32) / 255
-    return np.asarray(light * (1 - share) + linear(overlay[..., :3]) * share, np.float32)
+    written = overlay[..., 3] > 0  # a few hundredths of a picture
+    ink = overlay[written]
+    share = ink[:, 3:].astype(np.float32) / 255
+    laid = np.array(light, np.float32)
+    laid[written] = laid[written] * (1 - share) + linear(ink[:, :3]) * share
+    return laid
 
 
 def overlay(legend: Legend, camera: Camera, *, unit: str = "µm", depth: str = "z") -> NDArray[np.uint8]:

@@ -11,7 +11,7 @@ from display.cpu.bricks import Bricks, make_bricks
 from display.cpu.shear import cast_sheared, main_axis, shearable, swept
 from display.light import linear_of
 from display.modes import Bar, Legend
-from display.rays import Rays, bounds, rays
+from display.rays import Rays, bounds, rays, thinned
 from display.resolve import light_vector
 from display.scene import Band, Volume, VolumeLook, band_colours
 
@@ -27,6 +27,8 @@ TABLE, SURFACE, COLOUR, THROUGH, DEPTH = range(5)
 FULL = {"uint8": 255.0, "uint16": 65535.0}
 DENSEST_PERCENT = 99.9
 DENSEST_DEPTH = 3.0  # -ln of what the densest columns let through: 5 %
+MANY_VOXELS = 40_000_000  # of more, a moving picture shows every second along each axis
+THINNER = 2
 EDGE_FLOOR = 0.1  # change of the value from voxel to voxel that makes an edge
 REAR_GAP = 0.02  # of the size of everything, between the data and the plane behind it
 
@@ -97,13 +99,17 @@ class RayMode:
         lit: Bricks | None = None,
     ) -> NDArray[np.float32]:
         """Cast one band exactly, or while the picture moves by shearing where that shows the same."""
-        bricks, numbers = bricks_of(canvas, band), casting(band, uniforms)
-        box, size = bounds(drawing.data, drawing.look.cut), drawing.camera.size
+        numbers, size = casting(band, uniforms), drawing.camera.size
+        box = bounds(drawing.data, drawing.look.cut)
         if canvas.moving and lit is None and self.shade != DEPTH and shearable(self.kind, seen_by, numbers):
+            thin = THINNER if band.values.size > MANY_VOXELS else 1
             axis = main_axis(seen_by)
-            volume = canvas.keep(f"swept {axis}", (band.values,), lambda: swept(bricks, axis))
+            volume = canvas.keep(f"swept {axis}", (band.values,), lambda: swept(bricks_of(canvas, band, thin), axis))
+            if thin > 1:
+                canvas.notes = (f"while moving: each {thin}nd voxel",)
+                seen_by, box = thinned(seen_by, thin), (box[0] / thin, box[1] / thin)
             return cast_sheared(self.kind, volume, seen_by, box, size, numbers, table)
-        return cpu.cast(self.kind, bricks, seen_by, box, size, numbers, table=table, lit=lit)
+        return cpu.cast(self.kind, bricks_of(canvas, band), seen_by, box, size, numbers, table=table, lit=lit)
 
     @property
     def defines(self) -> tuple[tuple[str, object], ...]:
@@ -132,9 +138,10 @@ class RayMode:
         return Legend(tuple(bar(band) for band in drawing.data.bands), common_words(drawing))
 
 
-def bricks_of(canvas: Canvas, band: Band) -> Bricks:
-    """Return the volume of a band as the processor casts it, made once."""
-    return canvas.keep("bricks", (band.values,), lambda: make_bricks(band.values))  # type: ignore[no-any-return]
+def bricks_of(canvas: Canvas, band: Band, thin: int = 1) -> Bricks:
+    """Return the volume of a band as the processor casts it, or of each ``thin``-th voxel along an axis; made once."""
+    some = (slice(None, None, thin),) * 3
+    return canvas.keep(f"bricks {thin}", (band.values,), lambda: make_bricks(band.values[some]))  # type: ignore[no-any-return]
 
 
 def threshold(band: Band, look: VolumeLook) -> float:

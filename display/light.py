@@ -18,8 +18,8 @@ LEVEL_OF_WHITE = 255
 
 def encoded(light: Array) -> NDArray[np.uint8]:
     """Return the sRGB grey levels of linear light; what is outside 0 … 1 is clipped, NaN is black."""
-    steps = np.nan_to_num(np.clip(light, 0.0, 1.0)) * (STEPS - 1) + 0.5
-    return np.asarray(_LEVELS[steps.astype(np.intp)], np.uint8)
+    steps = np.fmin(np.fmax(light, 0.0), 1.0) * (STEPS - 1) + 0.5  # of a number and NaN these take the number
+    return np.asarray(_LEVELS.take(steps.astype(np.uint16)), np.uint8)
 
 
 def linear(levels: NDArray[np.uint8]) -> NDArray[np.float32]:

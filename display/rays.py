@@ -50,6 +50,13 @@ def in_voxels(corner: Array, right: Array, down: Array, along: Array, eye: Array
     return Rays(corner / voxel + middle, right / voxel, down / voxel, along / voxel, place, voxel)
 
 
+def thinned(seen_by: Rays, step: int) -> Rays:
+    """Return rays through a grid of which only each ``step``-th voxel along every axis, the first included, is left."""
+    corner, right, down, along = (part / step for part in (seen_by.corner, seen_by.right, seen_by.down, seen_by.along))
+    eye = None if seen_by.eye is None else seen_by.eye / step
+    return Rays(corner, right, down, along, eye, seen_by.voxel_um * step)
+
+
 def bounds(volume: Volume, cut: tuple[tuple[float, float], ...]) -> tuple[Array, Array]:
     """Return the lowest and highest (x, y, z) that is shown, in voxels, of a cut in shares of the whole."""
     size = np.array(volume.shape[::-1], np.float64)

@@ -199,7 +199,10 @@ class Viewer:
         """Run until the window is closed; returns the last picture."""
         last: Picture | None = None
         drawn: tuple[object, ...] = ()
-        touched_s, before_s = -1.0, self._clock.now()
+        before_s = self._clock.now()
+        touched_s = (
+            before_s if self._volume is not None else -1.0
+        )  # the first picture of a file comes as fast as can be
         while not (self._ended or shown.quit or (until_s is not None and self._clock.now() >= until_s)):
             happened = self._window.wait(0.0 if shown.playing else LIVE_S if self._feed is not None else IDLE_S)
             now_s = self._clock.now()

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+import display.cast_mode
 from display.light import encoded_share
+from display.load import as_volume
 from display.scene import Band, Layer, Scene, Transfer, View, Volume, VolumeLook
 
 SIZE = (64, 48)
@@ -42,3 +44,23 @@ def test_a_moving_picture_is_nearly_the_still_one(renderers, view, mode, look):
         still, moving = encoded_share(still), encoded_share(moving)
     assert np.abs(still - moving).mean() <= 1.0 / 255
     assert np.corrcoef(still.ravel(), moving.ravel())[0, 1] > 0.999
+
+
+def test_of_many_voxels_a_moving_picture_shows_every_second_and_says_so(renderers, monkeypatch):
+    z, y, x = np.indices((50, 61, 72), np.float32)
+    ball = np.clip(230 - 8 * np.sqrt((z - 25) ** 2 + (y - 28) ** 2 + (x - 40) ** 2), 0, 255).astype(np.uint8)
+    renderer = renderers["cpu"]
+    scene = Scene((Layer(as_volume(ball), "mip", VolumeLook()),), View(35, 25, pixel_um=1.0))
+    renderer.canvas.moving = True
+    try:
+        whole = renderer.draw(scene, (90, 80))
+        assert not renderer.canvas.notes
+        monkeypatch.setattr(display.cast_mode, "MANY_VOXELS", 1000)
+        other = Scene((Layer(as_volume(ball.copy()), "mip", VolumeLook()),), View(35, 25, pixel_um=1.0))
+        thin = renderer.draw(other, (90, 80))
+    finally:
+        renderer.canvas.moving = False
+    assert renderer.canvas.notes == ("while moving: each 2nd voxel",)
+    middle = [float((light[..., 0] * np.arange(90)).sum() / light[..., 0].sum()) for light in (whole, thin)]
+    assert middle[0] == pytest.approx(middle[1], abs=0.1)  # every second voxel lies where it lay
+    assert np.abs(whole - thin).mean() < 0.01
