@@ -38,7 +38,7 @@ def list_devices(*, json: Annotated[bool, Parameter(negative="")] = False) -> No
     json
         One JSON object instead of words.
     """
-    ports = [_described(port) for port in ports_present()]
+    ports = described_ports()
     installed = {kind: sorted(drivers(kind)) for kind in KINDS}
     if json:
         _print(json_text.dumps({"ports": ports, "drivers": installed}))
@@ -51,6 +51,11 @@ def list_devices(*, json: Annotated[bool, Parameter(negative="")] = False) -> No
                 _print(f"      {remark}")
     for kind, names in installed.items():
         _print(f"{kind.capitalize()} drivers: {', '.join(names)}")
+
+
+def described_ports() -> list[dict[str, Any]]:
+    """Return the serial ports present now: name, device, description, who holds each, what keeps this user out."""
+    return [_described(port) for port in ports_present()]
 
 
 def _described(port: Port) -> dict[str, Any]:

@@ -28,6 +28,12 @@ UNITS_PER_UM = {"asi-ms2000": 10.0, "asi-tiger": 10.0, "pi-gcs2": 1.0, "prior-pr
 LIMITS_UM = {"pi-gcs2": (0.0, 100.0)}
 USUAL_LIMITS_UM = (-100.0, 100.0)
 USUAL_BAUD = 9600
+NOBODY_KNOWN = "no controller that is known answered here when this file was written"
+SOURCES = {
+    "sim": ("Address of the simulated camera", "127.0.0.1:0"),
+    "folder": ("Folder of the images", "images"),
+    "opencv": ("Index or device of the camera", "0"),
+}
 RIG = """\
 # Written by `stereotome devices init`. What every key means: docs/instrument.md
 # See whether it is well: stereotome config check FILE; where the stage is: stereotome stage show -i FILE
@@ -68,6 +74,23 @@ class Answers:
     na: float | None
     min_um: float | None
     max_um: float | None
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What an instrument file is made of; ``seen`` is a remark on who answered at the port."""
+
+    name: str
+    camera: str
+    source: str
+    magnification: float
+    na: float
+    seen: str
+    driver: str
+    port: str
+    baud: int
+    min_um: float
+    max_um: float
 
 
 def init(
@@ -127,19 +150,39 @@ def _dialogue(name: str, given: Answers) -> str:
     driver = found.driver if found else _choice("Driver of the z stage", list(drivers("stage")), "asi-ms2000")
     low_um, high_um = LIMITS_UM.get(driver, USUAL_LIMITS_UM)
     camera = given.camera or _choice("Driver of the camera", list(drivers("camera")), "opencv")
+    source = given.source or (_ask(*SOURCES[camera]) if camera in SOURCES else "")
+    return rig_text(
+        Bench(
+            name=name,
+            camera=camera,
+            source=source,
+            magnification=given.magnification or _number("Magnification of the objective", 20.0, _positive),
+            na=given.na or _number("Its numerical aperture", 0.45, _positive),
+            seen=seen,
+            driver=driver,
+            port=port,
+            baud=found.baud if found else round(_number("Its baud", USUAL_BAUD, _positive)),
+            min_um=_given(given.min_um, lambda: _number("Lower soft limit of z in µm", low_um)),
+            max_um=_given(given.max_um, lambda: _number("Upper soft limit of z in µm", high_um)),
+        )
+    )
+
+
+def rig_text(bench: Bench) -> str:
+    """Return the text of an instrument file."""
     return RIG.format(
-        name=toml_value(name),
-        camera=toml_value(camera),
-        camera_keys=_camera_keys(camera, given.source),
-        magnification=given.magnification or _number("Magnification of the objective", 20.0, _positive),
-        na=given.na or _number("Its numerical aperture", 0.45, _positive),
-        found=seen,
-        driver=toml_value(driver),
-        port=toml_value(port),
-        baud=found.baud if found else round(_number("Its baud", USUAL_BAUD, _positive)),
-        units_per_um=UNITS_PER_UM.get(driver, 10.0),
-        min_um=_given(given.min_um, lambda: _number("Lower soft limit of z in µm", low_um)),
-        max_um=_given(given.max_um, lambda: _number("Upper soft limit of z in µm", high_um)),
+        name=toml_value(bench.name),
+        camera=toml_value(bench.camera),
+        camera_keys=_camera_keys(bench.camera, bench.source),
+        magnification=bench.magnification,
+        na=bench.na,
+        found=bench.seen,
+        driver=toml_value(bench.driver),
+        port=toml_value(bench.port),
+        baud=bench.baud,
+        units_per_um=UNITS_PER_UM.get(bench.driver, 10.0),
+        min_um=bench.min_um,
+        max_um=bench.max_um,
     )
 
 
@@ -171,19 +214,22 @@ def _probed(port: str) -> tuple[Found | None, str]:
     if found is None or found.driver not in drivers("stage"):
         for line in words(report, port):
             _say(line)
-        return None, "no controller that is known answered here when this file was written"
+        return None, NOBODY_KNOWN
     _say(f"  {found.name}, {found.baud} baud: driver {found.driver}")
-    return found, f"answered as: {json.dumps(found.name)[1:-1]}"
+    return found, remark(found)
 
 
-def _camera_keys(camera: str, source: str | None) -> str:
+def remark(found: Found) -> str:
+    """Return what the file says of the controller that answered."""
+    return f"answered as: {json.dumps(found.name)[1:-1]}"
+
+
+def _camera_keys(camera: str, source: str) -> str:
     """Return the lines that this driver cannot do without."""
     if camera == "sim":
-        return f"address = {toml_value(source or _ask('Address of the simulated camera', '127.0.0.1:0'))}\n"
+        return f"address = {toml_value(source)}\n"
     if camera == "folder":
-        return f"source = {toml_value(source or _ask('Folder of the images', 'images'))}\nstep_um = 1.0\n"
-    if camera == "opencv":
-        return f"source = {toml_value(source or _ask('Index or device of the camera', '0'))}\n"
+        return f"source = {toml_value(source)}\nstep_um = 1.0\n"
     return f"source = {toml_value(source)}\n" if source else ""
 
 

@@ -11,11 +11,11 @@ needs_screen = pytest.mark.skipif(shutil.which("Xvfb") is None, reason="Xvfb is 
 
 
 @contextmanager
-def virtual_screen(size="320x240"):
+def virtual_screen(size="320x240", *options):
     """Give the environment of programs that are to draw on a screen of their own."""
     read, write = os.pipe()
     server = subprocess.Popen(
-        ["Xvfb", "-noreset", "-displayfd", str(write), "-screen", "0", f"{size}x24"],
+        ["Xvfb", "-noreset", "-displayfd", str(write), "-screen", "0", f"{size}x24", *options],
         pass_fds=(write,),
         stderr=subprocess.DEVNULL,
     )

@@ -10,13 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from acquire.meeting import ServerGone
 from devices.errors import DisplayError
+from devices.rig import load_rig
 from display.console import settings as remembered
 from display.console.bench import Bench
 from display.console.eyes import Eyes
 from display.console.instrument import found_or_started
 from display.console.journal import Journal
 from display.console.model import TOP_OF_UNKNOWN, Console
+from display.console.setup import Later, Setup
 from display.console.tour import Tour
 
 if TYPE_CHECKING:
@@ -36,7 +39,7 @@ def console(
     """Work at an instrument in a window: focus, stacks, sections, and what was taken.
 
     The instrument is driven by a process of its own, joined when it serves already; this window may close or crash and
-    a run goes on.
+    a run goes on. Where none is served and none is named, a dialogue finds the devices and writes an instrument file.
 
     Parameters
     ----------
@@ -51,10 +54,22 @@ def console(
     scale
         How large everything is, where the system does not tell it right: 2 for 200 %.
     """
+    if instrument is not None:
+        load_rig(instrument)  # what is wrong with it is told before what is wrong with the screen
     needs_window()
     sys.stderr.write("starting the instrument's process, or joining it ...\n")
-    served = found_or_started(instrument, sim=sim, block=block, server=server)
-    goes_on = show(served, scale=scale)
+    served: Served | Later
+    try:
+        served = found_or_started(instrument, sim=sim, block=block, server=server)
+    except ServerGone:
+        if server is not None or instrument is not None or sim:
+            raise
+        served = Later()
+    try:
+        goes_on = show(served, scale=scale)
+    except DisplayError:
+        served.end()
+        raise
     if goes_on:
         sys.stderr.write("the run goes on without the console; open it again to see it.\n")
     else:
@@ -71,7 +86,7 @@ def demonstrate(folder: Path) -> int:
     return 0
 
 
-def show(served: Served, *, scale: float | None = None, tour: Tour | None = None) -> bool:
+def show(served: Served | Later, *, scale: float | None = None, tour: Tour | None = None) -> bool:
     """Show the window until it is closed; return whether a run goes on."""
     from display.console.window import ConsoleWindow  # noqa: PLC0415  nothing else needs a display
 
@@ -82,7 +97,7 @@ def show(served: Served, *, scale: float | None = None, tour: Tour | None = None
         return made.running
 
 
-def opened(served: Served, stack: ExitStack) -> Console:
+def opened(served: Served | Later, stack: ExitStack) -> Console:
     """Return a console of an instrument process; it leaves when the stack ends, its settings kept."""
     folder = remembered.settings_folder()
     settings = remembered.load(folder)
@@ -96,6 +111,9 @@ def opened(served: Served, stack: ExitStack) -> Console:
     eyes = Eyes(lambda: bench.ring, top)
     stack.callback(eyes.close)
     made = Console(bench, eyes, journal, settings)
+    if isinstance(served, Later):
+        made.setup = Setup(served)
+        stack.callback(made.setup.wait)
     stack.callback(made.flipping.close)
 
     def remember() -> None:

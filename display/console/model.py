@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from display.console.eyes import Eyes, Seen
     from display.console.journal import Journal
     from display.console.settings import Settings
+    from display.console.setup import Setup
     from display.console.tour import Tour
 
 PLAN_EVERY_S = 5.0
@@ -83,6 +84,7 @@ class Console:
         self.reviewing = False
         self.shows_keys = False
         self.tour: Tour | None = None
+        self.setup: Setup | None = None
         self.target_um = 0.0
         self.exposure_ms: float | None = None
         self.depth_um = 0.0

@@ -12,7 +12,7 @@ from imgui_bundle import hello_imgui, imgui, immapp
 from acquire.words import took
 from devices.errors import DisplayError, StereotomeError
 from display.console.keys import BINDINGS, MOUSE
-from display.console.panels import camera, files, glasses, live, log, review, sections, session, stack, stage
+from display.console.panels import camera, files, glasses, live, log, review, sections, session, setup, stack, stage
 from display.console.panels import widgets as w
 from display.console.review import Reviewer
 from display.console.tour import STEPS
@@ -67,12 +67,12 @@ class ConsoleWindow:
         Raises
         ------
         DisplayError
-            ``no-display``: there is no screen, or it has no OpenGL 3.3.
+            ``no-display``: there is no screen; ``no-opengl``: it has no OpenGL 3.3.
         """
         try:
             immapp.run(self.params)
         except RuntimeError as cause:
-            raise DisplayError(str(cause).strip(), code="no-display") from None
+            raise not_opened(str(cause)) from None
         finally:
             self.close()
 
@@ -180,6 +180,8 @@ class ConsoleWindow:
             self._review(console)
         if console.running and console.run is not None and console.run.question is not None:
             sections.ask(console, console.run.question)
+        if console.setup is not None and not console.setup.done:
+            setup.draw(console.setup)
         if console.tour is not None and console.tour.shown:
             _tour(console.tour)
         if console.shows_alarms and console.alarms.unseen:
@@ -249,6 +251,26 @@ class ConsoleWindow:
         if why_not:
             w.words(f"! {why_not}", w.ORANGE)
         imgui.end()
+
+
+def not_opened(said: str) -> DisplayError:
+    """Return the error of a window that was not opened: there is no screen, or no OpenGL on it."""
+    if "glfwInit" in said:
+        return DisplayError(
+            "there is no display on which the console can be opened.",
+            why="The window system does not answer, see the line above.",
+            fix=("log in at the display, or name it: DISPLAY=:0", "work without a window: stereotome run RECIPE"),
+            code="no-display",
+        )
+    return DisplayError(
+        "the display has no OpenGL 3.3, which the console needs.",
+        why=said.strip(),
+        fix=(
+            "install the driver of the graphics card",
+            "a software one: sudo apt install libgl1 libgl1-mesa-dri",
+        ),
+        code="no-opengl",
+    )
 
 
 def review_words(console: Console) -> list[str]:

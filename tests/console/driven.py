@@ -2,6 +2,7 @@
 
 import os
 import signal
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,22 @@ from imgui_bundle import imgui
 
 from display.console.sticks import Scripted
 from display.console.tour import Tour
+
+
+def first_start(hand):
+    """Find out who is at a port, describe the bench, and see its live picture."""
+    setup, bench = hand.console.setup, tomllib.loads(Path("bench.toml").read_text())
+    hand.click("//First start/Look for ports")
+    hand.enter("//First start/port", bench["stage"]["z"]["port"])
+    hand.click("//First start/Ask who is there")
+    hand.wait(lambda: "driver asi-ms2000" in setup.words)
+    hand.choose("//First start/camera", "sim")
+    hand.enter("//First start/Address of the simulated camera", bench["camera"]["address"])
+    hand.shot("console_first_start")
+    hand.click("//First start/Write and start")
+    hand.wait(lambda: hand.console.bench.commands or (setup.words and not setup.doing))
+    hand.click("//Camera/Live")
+    hand.wait(lambda: hand.console.eyes.seen)
 
 
 def first_run(hand):

@@ -14,6 +14,7 @@ from imgui_bundle.immapp import testing
 from display.console import model
 from display.console.app import opened
 from display.console.instrument import Served
+from display.console.setup import Later
 from display.console.window import BUSY_HZ, ConsoleWindow
 
 PATIENCE = int(os.environ.get("STEREOTOME_PATIENCE", "900"))  # frames
@@ -108,7 +109,9 @@ def main(function, connection, folder, scale):
     import driven
 
     with ExitStack() as stack:
-        console = opened(Served(Path(connection)), stack)
+        served = Later() if connection == "later" else Served(Path(connection))
+        stack.callback(served.end)
+        console = opened(served, stack)
         model.LIVE_HZ = LIVE_HZ
         console.form.folder = f"{os.environ.get('STEREOTOME_RUNS', Path.cwd())}/run-{{run}}"
         window = ConsoleWindow(console, scale=float(scale), remembers=False)
@@ -117,7 +120,8 @@ def main(function, connection, folder, scale):
             hand = Hand(ctx, console, window, Path(folder))
             engine = imgui.test_engine.get_io(ctx.engine)
             engine.config_watchdog_warning = engine.config_watchdog_kill_test = 1e6
-            hand.wait(lambda: console.bench.commands)
+            if connection != "later":
+                hand.wait(lambda: console.bench.commands)
             getattr(driven, function)(hand)
             assert window.canvas.context.error == "GL_NO_ERROR"
 
