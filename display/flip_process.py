@@ -111,6 +111,9 @@ class Show:
         return self._clock.now() + (self._options.seconds or float("inf"))
 
     def _goes_on(self, end_s: float) -> bool:
+        if self._screen.unplugged:
+            sys.stderr.write("the display was unplugged: the show has ended, and a run goes on.\n")
+            return False
         over = self._mailbox.stopped or self._screen.closed or self._clock.now() >= end_s
         return not over and os.getppid() == self._parent
 

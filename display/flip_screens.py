@@ -44,6 +44,7 @@ class ClockedScreen:
     keys: tuple[Key, ...] = ()
     quad_buffered = False
     closed = False
+    unplugged = False
 
     def __init__(self, mailbox: Mailbox, clock: Clock, refresh_hz: float, code: Code = "none") -> None:
         self.refresh_hz = refresh_hz
@@ -94,7 +95,10 @@ class FlipWindow:
     def __init__(self, mailbox: Mailbox, code: Code = "none", *, windowed: bool = False) -> None:
         _start()
         monitor = glfw.get_primary_monitor()
+        if not monitor:
+            raise DisplayError("no display is plugged in.", fix="plug one in and switch it on.", code="no-display")
         mode = glfw.get_video_mode(monitor)
+        self._monitor = None if windowed else _address(monitor)
         self.refresh_hz = float(mode.refresh_rate)
         self._window, self.quad_buffered = _opened(
             mailbox.size if windowed else mode.size, None if windowed else monitor
@@ -108,7 +112,13 @@ class FlipWindow:
     @property
     def closed(self) -> bool:
         """Whether the person has closed the window, or its display is gone."""
-        return bool(glfw.window_should_close(self._window)) or not glfw.get_monitors()
+        return bool(glfw.window_should_close(self._window)) or self.unplugged
+
+    @property
+    def unplugged(self) -> bool:
+        """Whether the display is gone; a window would be moved to another one, whose refreshes are not counted."""
+        left = [_address(monitor) for monitor in glfw.get_monitors()]
+        return not left or (self._monitor is not None and self._monitor not in left)
 
     @property
     def keys(self) -> tuple[Key, ...]:
@@ -155,6 +165,11 @@ class FlipWindow:
             glfw.set_window_should_close(window, True)  # noqa: FBT003  GLFW's own signature
         elif key in KEYS:
             self._pending.append(KEYS[key])
+
+
+def _address(monitor: Any) -> int | None:
+    """Return what tells monitors apart."""
+    return ctypes.cast(monitor, ctypes.c_void_p).value
 
 
 def _start() -> None:

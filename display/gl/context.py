@@ -46,6 +46,13 @@ def check(context: moderngl.Context, doing: str) -> None:
         raise DisplayError(
             f"the graphics memory is full after {doing}.", fix="make the picture or the volume smaller.", code="opengl"
         )
+    if error == "GL_CONTEXT_LOST" or error == "GL_UNKNOWN_ERROR":  # moderngl does not know the name of the first
+        raise DisplayError(
+            f"the graphics driver gave up after {doing}.",
+            why="it was reset, or the graphics card went to sleep; data and runs are not touched.",
+            fix="open the window again.",
+            code="opengl",
+        )
     if error != "GL_NO_ERROR":
         raise DisplayError(f"OpenGL reports {error} after {doing}.", fix="report it as a bug.", code="opengl")
 

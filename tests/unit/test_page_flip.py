@@ -12,8 +12,11 @@ import numpy as np
 import pytest
 
 from devices.cli import run
+from devices.clock import SystemClock
 from devices.errors import DisplayError
-from display.flip_process import FlipOptions
+from display.flip_process import FlipOptions, Show
+from display.flip_screens import ClockedScreen
+from display.mailbox import Mailbox
 from display.page_flip import PageFlip
 
 SIZE = (32, 24)
@@ -105,3 +108,16 @@ def test_a_process_that_is_killed_is_noticed_and_leaves_nothing():
         flip.show(view(1), view(2))
         assert flip.close() is None
     assert not flip._mailbox.path.exists()
+
+
+def test_a_display_that_is_unplugged_ends_the_show_in_words(monkeypatch, capsys):
+    mailbox = Mailbox.create(SIZE)
+    try:
+        show = Show(FlipOptions(str(mailbox.path), clock_hz=HZ), SystemClock())
+        monkeypatch.setattr(ClockedScreen, "unplugged", True)
+        report = show.run(lambda: None)
+        show.close()
+    finally:
+        mailbox.remove()
+    assert report.pace.wrong_eye == 0
+    assert "the display was unplugged" in capsys.readouterr().err
