@@ -36,7 +36,7 @@ def align(
     model: Choice = "auto",
     method: Method = "auto",
     fiducials: str | None = None,
-    reference: int = 0,
+    reference: int | None = None,
     trend: Trend = "remove",
     isotropic: Isotropic | None = None,
     interpolate: Annotated[bool, Switch] = False,
@@ -67,7 +67,7 @@ def align(
         auto, or a CSV file with columns section, mark, x_px, y_px: places of marks that run straight through the
         specimen; a section called "known" gives their true places.
     reference
-        The section that stays as it is, counted from 0.
+        The section that stays as it is, counted from 0; the first that shows something when left out.
     trend
         What runs smoothly through the stack: remove takes it for drifting sections, keep for the specimen's own
         shape, model does so for a steady shift and twist. Without meaning where marks are given.
@@ -108,11 +108,11 @@ def align(
     return 0
 
 
-def check_reference(stack: Stack, reference: int) -> None:
+def check_reference(stack: Stack, reference: int | None) -> None:
     """Refuse a stack that needs no alignment, or a reference that is not there."""
     if len(stack) < 2:
         raise InputError(f"{stack.source} holds one section.", fix="give two sections or more.", code="align-one")
-    if not 0 <= reference < len(stack):
+    if reference is not None and not 0 <= reference < len(stack):
         raise InputError(
             f"there is no section {reference}; there are 0 … {len(stack) - 1}.",
             fix="choose one of these: --reference N",

@@ -177,6 +177,11 @@ class SectionAligner:
                 self._chain[index] = found.matrix @ self._chain[before]
             believed += found.believed
 
+    @property
+    def first_sound(self) -> int:
+        """The first section that fits another one: what the others can be laid upon."""
+        return min((k for pair, found in self.pairs.items() if found.believed for k in pair), default=0)
+
     def finish(self, reference: int = 0, anchors: Sequence[Row] = (), gaps: Sequence[int] = ()) -> Alignment:
         """Solve for all sections together.
 

@@ -36,7 +36,7 @@ class Work:
     model: Choice = "auto"
     method: Method = "auto"
     fiducials: str | None = None
-    reference: int = 0
+    reference: int | None = None
     trend: Trend = "remove"
     isotropic: Isotropic | None = None
 
@@ -44,9 +44,10 @@ class Work:
         """Align the stack, whose sections may be matched already; returns the report, too."""
         begin = self.clock.now()
         aligner, why = (matched, "") if matched else self._matched(quiet=quiet)
-        marks = self._marks(aligner)
-        anchors = marks.rows(aligner.model, self.reference) if marks else ()
-        alignment = aligner.finish(self.reference, anchors, gaps(self.stack))
+        reference = aligner.first_sound if self.reference is None else self.reference
+        marks = self._marks(aligner, reference)
+        anchors = marks.rows(aligner.model, reference) if marks else ()
+        alignment = aligner.finish(reference, anchors, gaps(self.stack))
         notes = [*self.stack.notes, *([why] if why else []), *([marks.words()] if marks else [])]
         if not marks:
             drifted = drift(list(alignment.matrices), alignment.shape)
@@ -67,15 +68,15 @@ class Work:
                 show(k + 1)
         return aligner, why
 
-    def _marks(self, aligner: SectionAligner) -> Marks | None:
+    def _marks(self, aligner: SectionAligner, reference: int) -> Marks | None:
         if self.fiducials is None:
             return None
         if self.fiducials == "auto":
-            return find_marks(self.stack, aligner.finish(self.reference).matrices, self.reference)
+            return find_marks(self.stack, aligner.finish(reference).matrices, reference)
         return read_marks(Path(self.fiducials), self.stack)
 
     def _with_trend(self, alignment: Alignment) -> Alignment:
-        matrices = with_trend(list(alignment.matrices), alignment.shape, self.trend, self.reference)
+        matrices = with_trend(list(alignment.matrices), alignment.shape, self.trend, alignment.reference)
         return alignment.with_matrices(matrices)
 
     def _report(self, alignment: Alignment, notes: list[str], seconds: float) -> dict[str, Any]:

@@ -123,7 +123,7 @@ def tilted_pair(tilt_deg: float, *, left_deg: float | None = None, distance_um: 
             why="Less than nothing would mean that left and right are exchanged, and turn hills into pits.",
             fix=(
                 f"give the views the other way round and --tilt-deg {-tilt_deg:g}",
-                f"or say how the left view was tilted: --tilt-deg {tilt_deg:g} --left-deg 0",
+                f"say how the left view was tilted: --tilt-deg {tilt_deg:g} --left-deg 0",
             ),
             code="stereo-tilt",
         )

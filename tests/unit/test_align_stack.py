@@ -211,3 +211,14 @@ def test_bad_choices_are_one_clear_error(tmp_path: Path, capsys, monkeypatch, ex
     assert run(["process", "align", "s.tif", "-o", "out", "--model", "rigid", *extra, "-q"]) == 2
     assert f"error[{code}]" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_blank_first_section_is_not_what_the_others_are_laid_upon(tmp_path: Path):
+    images = made(scattered(5, 21))
+    images[0] = np.zeros_like(images[0])
+    tifffile.imwrite(tmp_path / "stack.tif", np.stack(images), photometric="minisblack")
+    out = tmp_path / "out"
+    assert run(["process", "align", str(tmp_path / "stack.tif"), "-o", str(out), "--model", "rigid", "-q"]) == 0
+    said = json.loads((out / "transforms.json").read_text())
+    assert said["reference"] == 1
+    assert [s["flags"] for s in said["sections"]] == [["blank"], [], [], [], []]
