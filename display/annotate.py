@@ -65,9 +65,21 @@ def overlay(legend: Legend, camera: Camera, *, unit: str = "µm", depth: str = "
     _tripod(draw, camera, letters, depth)
     for k, bar in enumerate(legend.bars):
         _colour_bar(sheet, draw, bar, k, len(legend.bars), letters)
-    for k, words in enumerate(legend.words):
-        _write(draw, (letters * 0.6, letters * (0.5 + 1.25 * k)), words, letters, "la")
+    lines = [line for words in legend.words for line in _broken(words, camera.size[0] - letters * 1.2, letters)]
+    for k, line in enumerate(lines):
+        _write(draw, (letters * 0.6, letters * (0.5 + 1.25 * k)), line, letters, "la")
     return np.asarray(sheet)
+
+
+def _broken(words: str, wide: float, letters: int) -> list[str]:
+    """Return words in lines that are not wider than that, unless one word is."""
+    lines: list[str] = []
+    for word in words.split(" "):
+        if lines and font(letters).getlength(f"{lines[-1]} {word}") <= wide:
+            lines[-1] += f" {word}"
+        else:
+            lines.append(word)
+    return lines
 
 
 def nice_length(longest: float) -> float:

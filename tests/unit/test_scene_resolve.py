@@ -136,3 +136,20 @@ def test_lengths_have_a_unit_that_suits_them(length, unit, words):
     from display.annotate import length_words
 
     assert length_words(length, unit) == words
+
+
+def test_long_words_are_broken_so_that_a_narrow_picture_holds_them():
+    import numpy as np
+
+    from display.annotate import overlay
+    from display.modes import Legend
+    from display.resolve import camera
+    from display.scene import Band, Layer, Scene, View, Volume, VolumeLook
+
+    volume = Volume((Band(np.zeros((2, 3, 4), np.uint8), (0, 1)),))
+    seen = camera(Scene((Layer(volume, "mip", VolumeLook()),), View(pixel_um=1.0)), (120, 160))
+    words = ("planes lie 1 to 3 µm apart: each is shown as thick as it stands for",)
+    sheet = overlay(Legend((), words), seen)[..., 3]
+    lines = (sheet[: 6 * 12].max(axis=1) > 0).astype(int)
+    assert (np.diff(lines) == 1).sum() >= 3  # several lines, and none touches the right side
+    assert not sheet[:80, -4:].any()
