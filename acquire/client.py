@@ -23,6 +23,7 @@ from acquire import replies, requests
 from acquire.client_io import SILENT_S, Wires
 from acquire.keys import ClientKeys
 from acquire.meeting import CHANNELS, Meeting, ServerGone, find_meeting
+from acquire.preview_viewer import PreviewViewer
 from acquire.state import FINAL
 from acquire.viewer import RingViewer
 from devices.clock import SystemClock
@@ -50,6 +51,7 @@ class Instrument:
 
     def __init__(self, meeting: Meeting, *, keys: ClientKeys | None = None, clock: Clock | None = None) -> None:
         self.meeting = meeting
+        self._keys = keys
         self._clock = clock or SystemClock()
         self._state: replies.State | None = None
         self._heard_s = self._clock.now()
@@ -209,6 +211,10 @@ class Instrument:
     def viewer(self) -> RingViewer:
         """Return a viewer of the newest frames in full, through shared memory; on the instrument's own computer."""
         return RingViewer(lambda: self.state.ring, self._clock)
+
+    def previews(self) -> PreviewViewer:
+        """Return a viewer of small pictures of the newest frames, a few a second; from any computer."""
+        return PreviewViewer(self.meeting.endpoints["preview"], self._keys)
 
     def approach(self, depth_um: float) -> replies.Depth:
         """Bring the block near the knife."""

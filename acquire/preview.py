@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import zmq
 
+from acquire.frame import Frame, FrameHeader
 from acquire.messages import pack_telling
 from acquire.replies import Preview, Telling
 from acquire.viewer import RingViewer
@@ -16,7 +17,6 @@ from acquire.viewer import RingViewer
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from acquire.frame import Frame
     from devices.protocols import Clock
 
 TOPIC = "preview"
@@ -46,6 +46,21 @@ def preview(frame: Frame) -> Preview:
         white=white,
         utc_ns=header.utc_ns,
     )
+
+
+def looked_at(told: Preview) -> Frame:
+    """Return a preview as a frame of its full size: grey levels between ``black`` and ``white``, no others.
+
+    It is for eyes: what lies beyond the two percentiles is cut off, and nothing finer than the preview is in it.
+    """
+    flags = cv2.IMREAD_GRAYSCALE if len(told.shape) == 2 else cv2.IMREAD_COLOR_RGB
+    small = cv2.imdecode(np.frombuffer(told.jpeg, np.uint8), flags)
+    if small is None:
+        raise ValueError("a preview that is no JPEG")
+    large = cv2.resize(small, told.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+    levels = np.rint(told.black + np.arange(256) * ((told.white - told.black) / 255)).astype(np.uint16)
+    header = FrameHeader(told.plane, told.z_um, told.z_um, 0.0, utc_ns=told.utc_ns, section=told.section)
+    return Frame(told.number, header, levels[large])
 
 
 def _table(black: int, white: int, dtype: np.dtype[Any]) -> np.ndarray:

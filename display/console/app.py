@@ -34,6 +34,7 @@ def console(
     sim: Flag = False,
     block: Flag = False,
     server: str | None = None,
+    keys: Path | None = None,
     scale: float | None = None,
 ) -> int:
     """Work at an instrument in a window: focus, stacks, sections, and what was taken.
@@ -51,6 +52,8 @@ def console(
         With --sim and no instrument file: the bench with a microtome and a block.
     server
         Join a process: its instrument's name, its connection file, or tcp://HOST:PORT.
+    keys
+        Folder with this client's keys, for an instrument on another computer: `stereotome keys` makes them.
     scale
         How large everything is, where the system does not tell it right: 2 for 200 %.
     """
@@ -60,7 +63,7 @@ def console(
     sys.stderr.write("starting the instrument's process, or joining it ...\n")
     served: Served | Later
     try:
-        served = found_or_started(instrument, sim=sim, block=block, server=server)
+        served = found_or_started(instrument, sim=sim, block=block, server=server, keys=keys)
     except ServerGone:
         if server is not None or instrument is not None or sim:
             raise
@@ -108,7 +111,7 @@ def opened(served: Served | Later, stack: ExitStack) -> Console:
     def top() -> int:
         return TOP_OF_UNKNOWN if bench.rig is None else (1 << bench.rig.camera.bit_depth) - 1
 
-    eyes = Eyes(lambda: bench.ring, top)
+    eyes = Eyes(lambda: bench.ring, top, instrument=lambda: bench.instrument)
     stack.callback(eyes.close)
     made = Console(bench, eyes, journal, settings)
     if isinstance(served, Later):

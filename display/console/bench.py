@@ -7,6 +7,8 @@ import threading
 from collections import deque
 from typing import TYPE_CHECKING
 
+from msgspec import structs
+
 from acquire import replies, requests
 from acquire.meeting import ServerGone
 from devices.clock import SystemClock
@@ -45,6 +47,8 @@ class Bench:
     ----------
     rig : RigSpec or None
         What the instrument is, once it was met.
+    wake : callable
+        Called, in another thread, when something was told that differs from what was told before.
     stop_asked : bool
         STOP was pressed and the instrument did not yet say that it is stopped.
     """
@@ -53,6 +57,7 @@ class Bench:
         self.actor = getpass.getuser()
         self.rig: RigSpec | None = None
         self.stop_asked = False
+        self.wake: Callable[[], None] = lambda: None
         self._connect = connect
         self._journal = journal
         self._clock = clock or SystemClock()
@@ -60,6 +65,7 @@ class Bench:
         self._wants_command = True
         self._answers: deque[tuple[Answered, replies.AnyReply | StereotomeError]] = deque()
         self._said = ""
+        self._news: replies.State | None = None
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._keep, name="bench", daemon=True)
         self._thread.start()
@@ -87,6 +93,11 @@ class Bench:
         """File of the ring in which frames appear now; empty for none."""
         state = self.state
         return state.ring if state is not None and self.connected else ""
+
+    @property
+    def instrument(self) -> Instrument | None:
+        """The connection; None while there is none."""
+        return self._instrument
 
     def take_command(self) -> None:
         """Become the one who commands as soon as nobody else does."""
@@ -150,6 +161,7 @@ class Bench:
         if isinstance(error, StereotomeError) and place:
             self._journal.error(place, error)
         if answered is not None:
+            self.wake()
             self._answers.append((answered, error if isinstance(error, StereotomeError) else answer.result()))
 
     def _keep(self) -> None:
@@ -199,6 +211,11 @@ class Bench:
             instrument.close()
 
     def _heard(self, told: replies.Told) -> None:
+        if isinstance(told, replies.State):
+            news = structs.replace(told, z_age_s=0.0, utc_ns=0)
+            if news != self._news:
+                self._news = news
+                self.wake()
         if isinstance(told, replies.Event) and (words := event_words(told.event)):
             self._journal.add(words[0], "run", words[1])
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
@@ -19,10 +20,13 @@ from display.console.contrast import Histogram
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from acquire.client import Instrument
+    from acquire.frame import Frame
+    from acquire.preview_viewer import PreviewViewer
     from acquire.replies import Picture
     from devices.protocols import Clock
 
-LOOK_S = 0.015
+LOOK_S, DARK_S = 0.015, 0.1  # between looks, while frames may come and while none can
 STILL_S = 1.0
 BINS = 256
 TREND = 120  # frames
@@ -89,6 +93,8 @@ class Eyes:
         Returns the file of the ring in which frames appear now, empty for none.
     top : callable
         Returns the largest grey level of the camera.
+    instrument : callable
+        Returns the connection, asked for previews when the ring is on another computer; None while there is none.
 
     Attributes
     ----------
@@ -96,15 +102,29 @@ class Eyes:
         The newest frame.
     trend : deque of float
         Focus scores of the last frames.
+    afar : bool
+        What is seen are previews from another computer: smaller, compressed, a few a second.
     rate_hz : float
         Frames a second that were looked at.
     """
 
-    def __init__(self, ring: Callable[[], str], top: Callable[[], int], clock: Clock | None = None) -> None:
+    def __init__(
+        self,
+        ring: Callable[[], str],
+        top: Callable[[], int],
+        clock: Clock | None = None,
+        *,
+        instrument: Callable[[], Instrument | None] = lambda: None,
+    ) -> None:
         self.seen: Seen | None = None
         self.trend: deque[float] = deque(maxlen=TREND)
         self.rate_hz = 0.0
+        self.afar = False
+        self._instrument = instrument
+        self._met: Instrument | None = None
+        self._previews: PreviewViewer | None = None
         self.kept: list[Seen] | None = None
+        self._ring = ring
         self._top = top
         self._clock = clock or SystemClock()
         self._viewer = RingViewer(ring, self._clock)
@@ -136,16 +156,35 @@ class Eyes:
         number, before_s = 0, self._clock.now()
         with self._viewer:
             while not self._over.is_set():
-                frame = self._viewer.newest(0.0)
+                frame = self._newest()
                 now_s = self._clock.now()
                 if frame is None:
-                    self._over.wait(LOOK_S)
+                    self._over.wait(LOOK_S if self._ring() else DARK_S)
                     self.rate_hz *= 1.0 if now_s - before_s < STILL_S else 0.0
                     continue
                 number += 1
                 self.rate_hz += 0.2 * (1 / max(now_s - before_s, 1e-3) - self.rate_hz)
                 before_s = now_s
                 self._take(look(number, frame.pixels, frame.header, self._top()))
+
+            self._look_afar(None)
+
+    def _newest(self) -> Frame | None:
+        """Return a frame of the ring; where there is no such file, a preview of it."""
+        ring = self._ring()
+        if not ring:
+            return None
+        self.afar = not Path(ring).exists() and self._instrument() is not None
+        self._look_afar(self._instrument() if self.afar else None)
+        return self._viewer.newest(0.0) if self._previews is None else self._previews.newest()
+
+    def _look_afar(self, instrument: Instrument | None) -> None:
+        """Listen to the previews of an instrument, no longer to those of another."""
+        if instrument is self._met:
+            return
+        if self._previews is not None:
+            self._previews.close()
+        self._met, self._previews = instrument, None if instrument is None else instrument.previews()
 
     def _take(self, seen: Seen) -> None:
         self.seen = seen

@@ -34,14 +34,17 @@ class Served:
         Its connection file, or ``tcp://HOST:PORT``; None for the only one there is.
     process : Popen or None
         It, when this console started it.
+    keys : Path or None
+        Folder of the keys by which it lets this client in.
     """
 
     place: Path | str | None
     process: subprocess.Popen[bytes] | None = None
+    keys: Path | None = None
 
     def connect(self) -> Instrument:
         """Connect to it; raises as `Instrument.connect`."""
-        return Instrument.connect(self.place)
+        return Instrument.connect(self.place, keys=self.keys)
 
     def end(self) -> None:
         """End it, if this console started it."""
@@ -52,7 +55,12 @@ class Served:
 
 
 def found_or_started(
-    instrument: Path | None, *, sim: bool = False, block: bool = False, server: str | None = None
+    instrument: Path | None,
+    *,
+    sim: bool = False,
+    block: bool = False,
+    server: str | None = None,
+    keys: Path | None = None,
 ) -> Served:
     """Return the process that serves an instrument.
 
@@ -62,6 +70,8 @@ def found_or_started(
         Instrument file; None with ``sim`` is the bench's own, and without it the only instrument that is served.
     server : str or None
         A process to join: its instrument's name, its connection file, or ``tcp://HOST:PORT``.
+    keys : Path or None
+        Folder of this client's keys, for an instrument on another computer.
 
     Raises
     ------
@@ -69,7 +79,7 @@ def found_or_started(
         The file is wrong, nobody serves, or the process did not start; its own words are passed on.
     """
     if server is not None or (instrument is None and not sim):
-        served = Served(server)
+        served = Served(server, keys=keys)
         served.connect().close()  # says in words that there is none
         return served
     name = NAMES[block] if instrument is None else load_rig(instrument).name

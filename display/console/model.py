@@ -289,7 +289,7 @@ class Console:
     def snap(self) -> None:
         """Take one frame and keep it; while frames come anyway, keep the newest."""
         coming = self.running or (self.state is not None and self.state.live)
-        if coming and self.eyes.seen is not None:
+        if coming and self.eyes.seen is not None and not self.eyes.afar:
             self._keep(self.eyes.seen)
         else:
             self.bench.ask(requests.Snap(), "camera", self._snapped)
@@ -332,7 +332,10 @@ class Console:
     def record(self) -> None:
         """Begin to keep frames as they come, or end and write them as a clip."""
         if self.eyes.kept is None:
-            self.eyes.keep()
+            if self.eyes.afar:
+                self.journal.add("error", "camera", "no clip from afar: only previews come over the network.")
+            else:
+                self.eyes.keep()
             return
         kept = self.eyes.keep_no_more()
         if kept:

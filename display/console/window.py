@@ -22,13 +22,14 @@ from display.gl.show import window_context
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from display.console.keys import Binding
     from display.console.model import Console
     from display.console.tour import Tour
 
 logger = logging.getLogger(__name__)
 TITLE = "Stereotome"
 SIZE = (1280, 720)
-BUSY_HZ, IDLE_HZ = 30.0, 3.0
+BUSY_HZ, IDLE_HZ = 30.0, 1.0  # an event, or news from the instrument, is drawn at once
 LAYOUT = "console-3"
 
 
@@ -48,6 +49,7 @@ class ConsoleWindow:
         self.canvas: Canvas | None = None
         self.review: review.ReviewPanel | None = None
         self._failed: set[str] = set()
+        self._chords = [_chord(binding) for binding in BINDINGS if binding.key != "escape"]
         self._reviewer = Reviewer(console.journal, console.flipping)
         self._draws: dict[str, Callable[[Console], None]] = {
             "Stage": stage.draw,
@@ -78,6 +80,7 @@ class ConsoleWindow:
 
     def close(self) -> None:
         """End what draws beside the window."""
+        self.console.bench.wake = lambda: None
         self._reviewer.close()
 
     def make_params(self, scale: float | None, *, remembers: bool) -> hello_imgui.RunnerParams:
@@ -151,7 +154,10 @@ class ConsoleWindow:
         )
 
     def _attach(self) -> None:
-        """Draw with ModernGL in the window's own context."""
+        """Draw with ModernGL in the window's own context; be woken by what the instrument tells."""
+        import glfw  # noqa: PLC0415  after imgui_bundle, which names the library that both use
+
+        self.console.bench.wake = glfw.post_empty_event
         self.canvas = Canvas(window_context())
         self.review = review.ReviewPanel(self.canvas, self._reviewer)
         self._draws["Review"] = self.review.draw
@@ -193,13 +199,9 @@ class ConsoleWindow:
         """Take keys; STOP is read raw, since a routed key is kept by a field that is being edited."""
         if imgui.is_key_pressed(imgui.Key.escape, False):  # noqa: FBT003  the library's
             console.stop()
-        for binding in BINDINGS:
-            if binding.key == "escape":
-                continue
-            chord: int = getattr(imgui.Key, binding.key) | (imgui.Key.mod_ctrl if binding.ctrl else 0)
-            flags = imgui.InputFlags_.route_global | (imgui.InputFlags_.repeat if binding.repeats else 0)
+        for chord, flags, do in self._chords:
             if imgui.shortcut(chord, flags):
-                binding.do(console)
+                do(console)
 
     def _menu(self, console: Console) -> None:
         """Draw STOP, its release, and how the run stands, where nothing can clip them."""
@@ -251,6 +253,13 @@ class ConsoleWindow:
         if why_not:
             w.words(f"! {why_not}", w.ORANGE)
         imgui.end()
+
+
+def _chord(binding: Binding) -> tuple[int, int, Callable[[Console], None]]:
+    """Return a key as the library takes it, how it is listened for, and what it does."""
+    chord = int(getattr(imgui.Key, binding.key)) | (int(imgui.Key.mod_ctrl) if binding.ctrl else 0)
+    flags = int(imgui.InputFlags_.route_global) | (int(imgui.InputFlags_.repeat) if binding.repeats else 0)
+    return chord, flags, binding.do
 
 
 def not_opened(said: str) -> DisplayError:

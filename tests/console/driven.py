@@ -205,6 +205,10 @@ def picks_up(hand):
     hand.wait_state("PAUSED")
     hand.wait(lambda: hand.console.eyes.seen)
     hand.shot("console_200")
+    console, before = hand.console, hand.console.eyes.seen
+    console.eyes._ring = lambda: "/on/another/computer"
+    hand.wait(lambda: console.eyes.afar and console.eyes.seen is not before)
+    assert console.eyes.seen.pixels.shape == before.pixels.shape
     hand.click("//Stack/Resume")
     hand.wait_state("RUNNING")
 

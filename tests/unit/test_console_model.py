@@ -182,6 +182,7 @@ class Ticking:
 class FakeEyes:
     seen = None
     kept = None
+    afar = False
 
 
 @pytest.fixture

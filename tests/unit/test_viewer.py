@@ -5,9 +5,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import zmq
 
 from acquire.frame import Frame, FrameHeader
-from acquire.preview import preview
+from acquire.preview import Previews, looked_at, preview
+from acquire.preview_viewer import PreviewViewer
 from acquire.ring import RingWriter
 from acquire.viewer import RingViewer
 from sim.clock import SimClock
@@ -88,3 +90,43 @@ def test_a_preview_shows_the_frame_within_a_grey_level_or_two(shape, dtype):
 def test_a_frame_of_one_grey_is_no_trouble():
     made = preview(Frame(0, HEADER, np.full((5, 5), 7, np.uint16)))
     assert (made.black, made.white) == (7, 8)
+
+
+def slope(shape, low, high):
+    row = np.linspace(low, high, shape[1])
+    return np.broadcast_to(row, shape).astype(np.uint16)
+
+
+@pytest.mark.parametrize("shape", [(90, 120), (1200, 1600)])
+def test_from_afar_a_frame_has_its_size_and_nearly_its_grey_levels(shape):
+    pixels = slope(shape, 400, 2400)
+    seen = looked_at(preview(Frame(5, replace(HEADER, plane=3, section=2), pixels)))
+    assert (seen.number, seen.header.plane, seen.header.section, seen.header.z_um) == (5, 3, 2, 1.0)
+    assert seen.pixels.shape == shape
+    inner = slice(shape[1] // 50, -shape[1] // 50)  # the percentiles cut off the ends
+    apart = np.abs(seen.pixels[:, inner].astype(int) - pixels[:, inner])
+    assert apart.max() <= 0.03 * 2000
+
+
+def test_who_looks_from_afar_gets_the_newest_of_what_is_published(tmp_path):
+    from devices.clock import SystemClock
+
+    context = zmq.Context()
+    socket = context.socket(zmq.XPUB)
+    socket.linger = 0
+    port = socket.bind_to_random_port("tcp://127.0.0.1")
+    with ring(tmp_path, SystemClock(), (16, 16)) as writer:
+        previews = Previews(socket, lambda: str(writer.path), SystemClock())
+        viewer = PreviewViewer(f"tcp://127.0.0.1:{port}", None)
+        try:
+            assert viewer.newest() is None
+            push(writer, 3)
+            deadline = SystemClock().now() + 60
+            while (frame := viewer.newest()) is None and SystemClock().now() < deadline:
+                SystemClock().sleep(0.02)
+            assert (frame.number, frame.pixels.shape) == (2, (16, 16))
+        finally:
+            previews.close()
+            viewer.close()
+            socket.close(0)
+            context.term()

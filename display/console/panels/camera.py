@@ -119,7 +119,7 @@ def _ends(seen: Seen) -> None:
 
 
 def _focus(console: Console) -> None:
-    trend = np.array(console.eyes.trend, np.float32)
+    trend = np.fromiter(console.eyes.trend.copy(), np.float32)  # the eyes may add to it meanwhile
     best, now = float(trend.max()), float(trend[-1])
     share = 100 * now / best if best else 0.0
     overlay = f"focus {share:.0f} % of the best seen lately"

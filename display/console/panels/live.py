@@ -57,13 +57,14 @@ class LivePanel:
 
     def _paint(self, console: Console, seen: Seen, fit: Fit, panel: tuple[float, float]) -> None:
         contrast = console.contrast
+        paint = contrast.paint and (seen.over > 0 or seen.under > 0)
         self._picture.draw(
             seen.pixels,
             seen.number,
             size=(int(panel[0]), int(panel[1])),
             place=(fit.left, fit.top, fit.scale),
             table=colours(contrast.table),
-            levels=(contrast.low, contrast.high, contrast.gamma, float(console.top), contrast.paint),
+            levels=(contrast.low, contrast.high, contrast.gamma, float(console.top), paint),
         )
 
     def _hands(self, console: Console, fit: Fit, at: imgui.ImVec2, panel: tuple[float, float]) -> None:
@@ -154,6 +155,8 @@ def _value(console: Console, seen: Seen, fit: Fit, lines: imgui.ImDrawList, at: 
     parts = [f"{fit.picture[0]} × {fit.picture[1]}{plane} · z {header.z_um:+.2f} µm"]
     if console.state is not None and (console.state.live or console.running):
         parts.append(f"{console.eyes.rate_hz:.0f} frames/s")
+    if console.eyes.afar:
+        parts.append("preview from afar: compressed, ends of the scale cut off")
     mouse = imgui.get_io().mouse_pos
     pixel = fit.pixel_at(mouse.x - at.x, mouse.y - at.y) if imgui.is_window_hovered() else None
     if pixel is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import groupby
 from typing import TYPE_CHECKING, get_args
 
 from imgui_bundle import imgui
@@ -10,6 +11,7 @@ from display.console.journal import Level
 from display.console.panels import widgets as w
 
 if TYPE_CHECKING:
+    from display.console.journal import Line
     from display.console.model import Console
 
 COLOURS = {"info": None, "warning": w.BLUE, "error": w.ORANGE}
@@ -21,7 +23,8 @@ class LogPanel:
     """Keeps to the end while nobody scrolls."""
 
     def __init__(self) -> None:
-        self._version = -1
+        self._state: tuple[int, str] = (-1, "")
+        self._blocks: list[tuple[imgui.ImVec4 | None, str]] = []
 
     def draw(self, console: Console) -> None:
         """Draw the panel."""
@@ -31,9 +34,19 @@ class LogPanel:
         if imgui.button("Copy"):
             imgui.set_clipboard_text("\n".join(map(str, console.journal.lines(settings.log_level))))
         imgui.begin_child("lines")
-        for line in console.journal.lines(settings.log_level)[-SHOWN:]:
-            w.words(str(line), COLOURS[line.level])
-        if console.journal.version != self._version:
-            self._version = console.journal.version
+        state = (console.journal.version, settings.log_level)
+        new = state != self._state
+        if new:
+            self._state, self._blocks = state, blocks(console.journal.lines(settings.log_level)[-SHOWN:])
+        for colour, text in self._blocks:
+            w.words(text, colour)
+        if new:
             imgui.set_scroll_here_y(1.0)
         imgui.end_child()
+
+
+def blocks(lines: list[Line]) -> list[tuple[imgui.ImVec4 | None, str]]:
+    """Return lines with their colours, neighbours of one colour together: each is drawn in one go."""
+    return [
+        (COLOURS[level], "\n".join(map(str, alike))) for level, alike in groupby(lines, key=lambda line: line.level)
+    ]
