@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json as notation
 import sys
 from pathlib import Path  # noqa: TC003  the command line is made from the annotations
@@ -20,10 +21,13 @@ from processing.align_report import files_of, write_alignment
 from processing.align_stack import FLAGS
 from processing.align_trend import Trend  # noqa: TC001
 from processing.align_work import Choice, Work
+from processing.readers import reading
 from processing.result_folder import check_results
 from processing.stack import open_stack
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from processing.stack import Stack
 
 Switch = Parameter(negative="")
@@ -40,6 +44,7 @@ def align(
     trend: Trend = "remove",
     isotropic: Isotropic | None = None,
     interpolate: Annotated[bool, Switch] = False,
+    depths: Path | None = None,
     step_um: float | None = None,
     channel: int | None = None,
     time: int | None = None,
@@ -77,6 +82,9 @@ def align(
     interpolate
         Draw blank, damaged and unmatched sections from the sound ones beside them, for looking; each is flagged.
         Without it they stay as they were taken.
+    depths
+        A CSV file with the column removed_um, a line for each section: how deep its face lies below the first one; what
+        process indents makes of polished faces. Goes before --step-um.
     step_um
         Distance of sections in µm; goes before what the file says.
     channel
@@ -92,6 +100,8 @@ def align(
     """
     check_results(output, files_of(method), overwrite=overwrite)
     opened = open_stack(stack, step_um=step_um, channel=channel, time=time)
+    if depths is not None:
+        opened.z_um = read_depths(depths, len(opened))
     check_reference(opened, reference)
     work = Work(opened, SystemClock(), model, method, fiducials, reference, trend, isotropic)
     alignment, report = work.solved(quiet=quiet)
@@ -106,6 +116,30 @@ def align(
         sys.stderr.write(f"note: {note}\n")
     sys.stdout.write(notation.dumps(report, ensure_ascii=False) + "\n" if json else summary(report, output))
     return 0
+
+
+def read_depths(path: Path, count: int) -> NDArray[np.float64]:
+    """Read how deep each face lies, in µm; the first one is the uppermost, as in runs.
+
+    Raises
+    ------
+    InputError
+        ``align-depths``: no such column, not a number for each section, or faces that do not lie one below the other.
+    """
+    with reading(path), path.open(newline="", encoding="utf-8-sig") as file:
+        lines = list(csv.DictReader(file))
+    try:
+        removed = np.array([float(line["removed_um"]) for line in lines])
+    except (KeyError, TypeError, ValueError):
+        removed = np.array([])
+    if len(removed) == count and np.isfinite(removed).all() and (np.diff(removed) > 0).all():
+        return np.asarray(removed[0] - removed)
+    raise InputError(
+        f"{path} does not say how deep {count} sections lie.",
+        why=f"It has {len(lines)} lines; the column removed_um must rise from one to the next.",
+        fix="give chain.csv as process indents writes it for the same faces",
+        code="align-depths",
+    )
 
 
 def check_reference(stack: Stack, reference: int | None) -> None:

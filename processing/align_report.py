@@ -185,9 +185,9 @@ def _layout(stack: Stack) -> FocalArray:
 
 def _zarr_array(path: Path, layout: FocalArray, stack: Stack, alignment: Alignment) -> Any:
     (path / "0").mkdir(parents=True)
-    z_um = None if stack.z_um is None else [float(z) for z in stack.z_um]
+    z_um = [] if stack.z_um is None else [{"plane": k, "z_um": float(z)} for k, z in enumerate(stack.z_um)]
     flags = {str(s.index): list(s.flags) for s in alignment.sections if s.flags}
-    replace_json(path / "zarr.json", layout.group_json("aligned sections", {"z_um": z_um, "flags": flags}))
+    replace_json(path / "zarr.json", layout.group_json("aligned sections", {"planes": z_um, "flags": flags}))
     replace_json(path / "0" / "zarr.json", layout.array_json(len(stack)))
     return zarr.open_array(path / "0", mode="r+")
 

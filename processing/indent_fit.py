@@ -289,4 +289,5 @@ def _beyond(a: Array, b: Array, bow: float, shape: tuple[int, int], blur: float)
     if bow:
         share = np.clip((along[0] * (x - a[0]) + along[1] * (y - a[1])) / length, 0, 1)
         distance = distance + 4 * bow * share * (1 - share)
-    return np.asarray(0.5 + 0.5 * np.tanh(0.8 * distance / blur))  # within 0.01 of a blurred step
+    steps = np.float32(0.8 / blur) * distance.astype(np.float32)  # its tanh takes a fifth of the time of float64
+    return np.asarray(0.5 + 0.5 * np.tanh(steps))  # within 0.01 of a blurred step

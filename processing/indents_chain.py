@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from devices.errors import InputError
+from processing.align_fiducials import FEWEST, KNOWN
+from processing.align_models import applied, fitted
 from processing.indents import same_indents
 
 if TYPE_CHECKING:
@@ -133,6 +135,47 @@ def _solved(rows: Array, values: Array, errors: Array, steps: int, tracks: list[
         said.append(f"one reading is {abs(off[worst]):.1f} standard errors from what the others say.")
     share = float(off @ off) / free if free > 0 else None
     return Chain(removed, sigma, tuple(tuple(track) for track in tracks), share, tuple(said))
+
+
+def marks(faces: Sequence[Sequence[Indent]], pixels_um: Sequence[float]) -> list[tuple[int | str, int, float, float]]:
+    """Return where indents lie as fiducial marks: the middle of a pyramid stays where it is while its face wears away.
+
+    Parameters
+    ----------
+    faces : sequence of sequence of Indent
+        Indents of each face, in the order of polishing.
+    pixels_um : sequence of float
+        Size of a pixel in the picture of each face.
+
+    Returns
+    -------
+    list of (section, mark, x_px, y_px)
+        The table that ``process align --fiducials`` takes. Lines of the section "known" give the place of every mark in
+        the frame of the first face; one pressed later is carried there by the marks it shares a face with, where these
+        are two or more.
+    """
+    tracks = [track for track in tracked(faces) if len(track) > 1]
+    seen = np.full((len(faces), len(tracks), 2), np.nan)
+    for number, track in enumerate(tracks):
+        for face, k in track:
+            seen[face, number] = np.array(faces[face][k].centre_um) / pixels_um[face]
+    known = carried(seen)
+    lines: list[tuple[int | str, int, float, float]] = []
+    sections: list[tuple[int | str, Array]] = [(KNOWN, known), *enumerate(seen)]
+    for name, places in sections:
+        lines += [(name, m, float(x), float(y)) for m, (x, y) in enumerate(places) if np.isfinite(x)]
+    return lines
+
+
+def carried(seen: Array) -> Array:
+    """Return the places of marks, seen as (faces, marks, 2), in the frame of the first face; NaN where not known."""
+    known: Array = seen[0].copy()
+    for face in seen[1:]:
+        there, here = np.isfinite(known[:, 0]), np.isfinite(face[:, 0])
+        if (there & here).sum() >= FEWEST["rigid"]:
+            back = fitted("rigid", face[there & here], known[there & here])
+            known[here & ~there] = applied(back, face[here & ~there])
+    return known
 
 
 def _falling(removed: Array, sigma: Array) -> list[int]:

@@ -16,8 +16,9 @@ from matplotlib.figure import Figure
 
 from acquire.progress import progress
 from devices.errors import InputError
+from processing.align_fiducials import COLUMNS as MARK_COLUMNS
 from processing.indents import Indent, Removal, measured_indents, removal
-from processing.indents_chain import Chain, chain
+from processing.indents_chain import Chain, chain, marks
 from processing.outputs import versions
 from processing.pictures import DOTS_PER_INCH, png_bytes, preview
 from processing.readers import reading
@@ -50,6 +51,8 @@ def indents(
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative="")] = False,
 ) -> int:
     """Measure Vickers and Knoop indents, and the depth removed between two or more pictures of a face.
+
+    Two files lead on to a volume of the faces: stereotome process align FACES --fiducials marks.csv --depths chain.csv
 
     Parameters
     ----------
@@ -94,6 +97,9 @@ def indents(
     said |= {"input": names, "pixel_um": {name: face[1] for name, face in faces.items()}, "versions": versions()}
     files = {"indents.csv": csv_bytes(COLUMNS, rows(found))}
     files |= {f"{name}.png": png_bytes(outlined(faces[name][0], found[name])) for name in names}
+    if after:
+        sizes = [pixel for _, pixel in faces.values()]
+        files["marks.csv"] = csv_bytes(MARK_COLUMNS, [list(line) for line in marks(listed, sizes)])
     if sums is not None:
         files |= {"chain.csv": chain_table(sums), "chain.png": chain_picture(sums)}
     said["files"] = [*files, "report.json"]
@@ -112,8 +118,9 @@ def named(before: Path, after: tuple[Path, ...]) -> dict[str, Path]:
 
 def files_of(names: dict[str, Path]) -> list[str]:
     """Return the names of what is written."""
+    marked = ["marks.csv"] if len(names) > 1 else []
     chained = ["chain.csv", "chain.png"] if len(names) > 2 else []
-    return ["indents.csv", *(f"{name}.png" for name in names), *chained, "report.json"]
+    return ["indents.csv", *(f"{name}.png" for name in names), *marked, *chained, "report.json"]
 
 
 def check_feed(feeds_um: list[float], error_um: float, steps: int) -> None:

@@ -14,7 +14,8 @@ import tifffile
 from devices.cli import run
 from devices.errors import InputError
 from processing.indents import Indent
-from processing.indents_chain import chain, tracked
+from processing.indents_chain import carried, chain, tracked
+from processing.stack import open_stack
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -97,3 +98,65 @@ def test_the_command_sums_three_faces(tmp_path: Path, capsys):
         lines = list(csv.DictReader(file))
     for line, expected in zip(lines, (0.0, 2 / 7.0006, 4 / 7.0006), strict=True):
         assert float(line["removed_um"]) == pytest.approx(expected, abs=max(3 * float(line["error_um"]), 1e-9))
+
+
+def faced(removed: float, x_px: float, y_px: float, turn_deg: float, indents: tuple[tuple[float, float, float], ...]):
+    """Photograph a grainy face that lies shifted and turned; ``indents``: x, y, and half diagonal before polishing."""
+    fine, size = 3, 300
+    grain = cv2.GaussianBlur(np.random.default_rng(8).normal(size=(fine * size, fine * size)), (0, 0), 12)
+    face = (128 + 150 * grain).astype(np.float32)
+    for x, y, half in indents:
+        left = half - 3.5003 * removed / PIXEL_UM
+        corners = np.array([(-1, 0), (0, -1), (1, 0), (0, 1)]) * left * fine + (fine * x + 1, fine * y + 1)
+        for k, tone in enumerate((190, 20, 70, 240) if left > 12 else ()):
+            facet = np.array([(fine * x + 1, fine * y + 1), corners[k], corners[(k + 1) % 4]])
+            cv2.fillPoly(face, [np.rint(facet * 16).astype(np.int32)], tone, cv2.LINE_8, 4)
+    middle = (fine * size - 1) / 2
+    place = cv2.getRotationMatrix2D((middle, middle), turn_deg, 1.0)
+    place[:, 2] += (fine * x_px, fine * y_px)
+    small = cv2.resize(
+        cv2.warpAffine(face, place, face.shape, borderValue=128), (size, size), interpolation=cv2.INTER_AREA
+    )
+    return (small + np.random.default_rng(9).normal(0, 3, small.shape)).clip(0, 255).astype(np.uint8)
+
+
+PIXEL_UM = 0.1
+POLISHED = ((0.0, 0, 0, 0), (0.4, 6, -4, 0.4), (0.7, -3, 5, -0.5))
+PRESSED = ((75.0, 75.0, 50.0), (220.0, 85.0, 48.0), (140.0, 220.0, 52.0))
+
+
+def test_polished_faces_become_a_volume_by_their_indents_alone(tmp_path: Path):
+    folder, marked = tmp_path / "faces", tmp_path / "indents"
+    folder.mkdir()
+    for k, (removed, *place) in enumerate(POLISHED):
+        tifffile.imwrite(folder / f"face{k}.tif", faced(removed, *place, PRESSED))
+    pictures = [str(folder / f"face{k}.tif") for k in range(len(POLISHED))]
+    assert run(["process", "indents", *pictures, "-o", str(marked), "--pixel-um", str(PIXEL_UM), "-q"]) == 0
+    tables = ["--fiducials", str(marked / "marks.csv"), "--depths", str(marked / "chain.csv")]
+    out = ["-o", str(tmp_path / "out"), "--model", "rigid", "-q"]
+    assert run(["process", "align", str(folder), *tables, *out]) == 0
+    said = json.loads((tmp_path / "out" / "transforms.json").read_text())["sections"]
+    middle = np.array([149.5, 149.5, 1.0])
+    for section, (_, x, y, turn) in zip(said, POLISHED, strict=True):
+        np.testing.assert_allclose((np.array(section["matrix"]) @ middle - middle)[:2], (x, y), atol=0.4)
+        assert section["rotation_deg"] == pytest.approx(-turn, abs=0.1)
+    z_um = open_stack(tmp_path / "out" / "aligned.ome.zarr").z_um
+    np.testing.assert_allclose(z_um, [-removed for removed, *_ in POLISHED], atol=0.06)
+
+
+def test_marks_pressed_later_are_carried_into_the_first_face():
+    places = np.array([(10.0, 20.0), (110.0, 25.0), (60.0, 90.0)])
+    turn = np.array([[np.cos(0.1), -np.sin(0.1)], [np.sin(0.1), np.cos(0.1)]])
+    later = places @ turn.T + (3, -4)
+    first = places.copy()
+    first[2] = np.nan
+    np.testing.assert_allclose(carried(np.array([first, later])), places, atol=1e-9)
+
+
+@pytest.mark.parametrize("table", ["face\n0\n", "removed_um\n0\n", "removed_um\n1\n0\n", "removed_um\n0\nx\n"])
+def test_depths_that_make_no_sense_are_refused(tmp_path: Path, table: str, capsys):
+    (tmp_path / "depths.csv").write_text(table)
+    np.save(tmp_path / "two.npy", np.random.default_rng(0).integers(0, 255, (2, 64, 64)).astype(np.uint8))
+    asked = ["--depths", str(tmp_path / "depths.csv"), "-o", str(tmp_path / "out"), "-q"]
+    assert run(["process", "align", str(tmp_path / "two.npy"), *asked]) == 2
+    assert "align-depths" in capsys.readouterr().err
