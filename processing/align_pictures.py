@@ -91,7 +91,8 @@ def sections_picture(stack: Stack, aligned: Path, alignment: Alignment) -> bytes
 
 
 def _cut(axes: Axes, cut: Array, title: str) -> None:
-    low, high = np.percentile(cut, (0.5, 99.5))
+    shows = cut[cut > 0] if (cut > 0).any() else cut  # black is where a section does not reach
+    low, high = np.percentile(shows, (0.5, 99.5))
     shown = np.clip((cut.astype(np.float32) - low) / max(float(high - low), 1.0), 0, 1)
     axes.imshow(shown, cmap="gray", aspect="auto", interpolation="nearest")
     axes.set(title=f"x–z cut through the middle, {title}", xlabel="x, pixels", ylabel="section")

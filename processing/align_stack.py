@@ -15,7 +15,7 @@ import numpy as np
 
 from devices.errors import InputError
 from processing.align_methods import matcher
-from processing.align_models import deformation, distance_px, nearest_in_pixels
+from processing.align_models import Model, deformation, distance_px, nearest_in_pixels
 from processing.align_pair import SMALLEST_SIDE, View, view
 from processing.align_solve import Row, solve
 from processing.align_start import match
@@ -26,12 +26,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from processing.align_methods import Method
-    from processing.align_models import Deformation, Model
+    from processing.align_models import Deformation
     from processing.align_pair import Match
 
     Array = NDArray[Any]
     Pairs = Mapping[tuple[int, int], Match]
 
+PAIRED: dict[Model, Model] = {
+    "uniaxial": "affine"
+}  # two sections compressed across each other differ by more than that
 REACH = 5  # sections a pair may bridge
 CHECK = 2  # sections two apart are always matched as well
 LEAST_TEXTURE = 0.05  # share of a section that must show structure
@@ -171,7 +174,7 @@ class SectionAligner:
             if believed >= CHECK:
                 break
             predicted = self._chain[index] @ np.linalg.inv(self._chain[before]) if believed else None
-            found = matcher(self.method)(other, seen, self.model, predicted)
+            found = matcher(self.method)(other, seen, PAIRED.get(self.model, self.model), predicted)
             self.pairs[before, index] = found
             if found.believed and not believed:
                 self._chain[index] = found.matrix @ self._chain[before]

@@ -222,3 +222,9 @@ def test_a_blank_first_section_is_not_what_the_others_are_laid_upon(tmp_path: Pa
     said = json.loads((out / "transforms.json").read_text())
     assert said["reference"] == 1
     assert [s["flags"] for s in said["sections"]] == [["blank"], [], [], [], []]
+
+
+def test_sections_compressed_across_each_other_are_each_uniaxial_against_the_reference():
+    matrices = scattered(5, 31, compression=0.15)
+    found = aligned(made(matrices, 31), "uniaxial")
+    assert max(distance_px(s.matrix, m, SHAPE) for s, m in zip(found.sections, matrices, strict=True)) < 0.15
