@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 MOST_ROUNDS = 50
 FIRST_REACH = 16  # voxels around a seed that are looked at first
+FARTHER = 8  # times as far, where that is not enough
 ROOM = 8  # voxels around a balloon in which it may grow before more of the volume is looked at
 
 
@@ -156,7 +157,7 @@ def spread(grey: Array, place: Place, join: Callable[[Array, Place], Inside]) ->
         if not _leaves(found, box, grey.shape):
             inside[box] = found
             return inside
-        reach *= 4
+        reach *= FARTHER
 
 
 def _leaves(found: Inside, box: tuple[slice, ...], shape: tuple[int, ...]) -> bool:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 TYPES = ("uint8", "uint16", "float32")
 SOBEL_SUM = 32.0  # of the weights of one side of the 3x3x3 operator, times the two voxels between its sides
 ENTROPY_LEVELS = 64
+BOX = 26  # the rule whose neighbours fill a cube
 
 
 def checked(volume: Array, types: tuple[str, ...] = TYPES) -> Array:
@@ -154,7 +155,11 @@ def variance(volume: Array, spacing_um: Spacing | None = None, *, rule: int = 26
     grey, near = checked(volume), around(rule, radius, spacing_um)
     exact = np.int32 if grey.dtype == np.uint8 and len(near.offsets) < 181 else np.float64  # 181²·255² is 2³¹
     out = np.empty(grey.shape, np.float32)
-    kernels.moment_rows(grey, near.rows, np.zeros(1, exact), out)
+    zero = np.zeros(1, exact)
+    if radius <= 0 and rule == BOX:
+        kernels.box_moment_rows(grey, zero, out)
+    else:
+        kernels.moment_rows(grey, near.rows, zero, out)
     return np.maximum(out, 0, out=out)
 
 

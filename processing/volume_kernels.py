@@ -188,6 +188,53 @@ def moment_rows(volume: Array, rows: Array, zero: Array, out: Array) -> None:
 
 
 @compiled
+def box_moment_rows(volume: Array, zero: Array, out: Array) -> None:
+    """As `moment_rows` for the 26 neighbours: each row's sums along z serve the three rows around it."""
+    nz, ny, nx = volume.shape
+    sums, squares = np.empty((3, nx), zero.dtype), np.empty((3, nx), zero.dtype)
+    run, run_squares = np.empty(nx + 2, zero.dtype), np.empty(nx + 2, zero.dtype)
+    for z in range(nz):
+        for y in range(-1, ny + 1):
+            add_along_z(row_at(volume, z - 1, y), row_at(volume, z, y), row_at(volume, z + 1, y),
+                        sums[(y + 1) % 3], squares[(y + 1) % 3])  # fmt: skip
+            if y > 0:
+                add_three(sums[0], sums[1], sums[2], run)
+                add_three(squares[0], squares[1], squares[2], run_squares)
+                write_moments(run, run_squares, out[z, y - 1])
+
+
+@compiled
+def add_along_z(above: Array, row: Array, below: Array, total: Array, squares: Array) -> None:
+    """Add up three rows, and their squares."""
+    kind = total.dtype.type
+    for x in range(row.size):
+        a, b, c = kind(above[x]), kind(row[x]), kind(below[x])
+        total[x] = a + b + c
+        squares[x] = a * a + b * b + c * c
+
+
+@compiled
+def add_three(one: Array, two: Array, three: Array, padded: Array) -> None:
+    """Add up three rows and repeat the ends."""
+    n = one.size
+    middle = padded[1 : n + 1]
+    for x in range(n):
+        middle[x] = one[x] + two[x] + three[x]
+    padded[0], padded[n + 1] = padded[1], padded[n]
+
+
+@compiled
+def write_moments(run: Array, run_squares: Array, out: Array) -> None:
+    """Write the variance of 27 voxels from sums over nine."""
+    share, kind = np.float32(1 / 27) / np.float32(27), run.dtype.type
+    for x in range(out.size):
+        total = kind(run[x] + run[x + 1] + run[x + 2])
+        total_squares = kind(run_squares[x] + run_squares[x + 1] + run_squares[x + 2])
+        # kept in its type: the compiler would widen it, and there is no quick way from there to float32
+        out[x] = np.float32(kind(kind(27) * total_squares - total * total)) * share
+
+
+@compiled
 def sum_runs(volume: Array, z: int, y: int, rows: Array, reach: int, run: Array, squares: Array) -> None:
     """Add up the rows of one reach, and their squares."""
     run[:], squares[:] = 0, 0
