@@ -11,12 +11,13 @@ import argparse
 import json
 import os
 import platform
+import random
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from imgui_bundle import imgui
@@ -32,6 +33,7 @@ from display.gl.live_picture import LivePicture
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from served import served
+from x_keyboard import Keyboard
 
 from sim.pytest_plugin import SimBench
 
@@ -40,7 +42,7 @@ RECIPE = (
     'schema = 1\nname = "b"\n[output]\nkeep_free_gb = 0.001\n[stack]\ntop_um = 10.0\nbottom_um = -10.0\nplanes = {}\n'
 )
 FRAMES, STOPS, PLANES, ROUNDS = 200, 30, 100, 3
-SETTLED_S, IDLE_S = 8.0, 20.0
+SETTLED_S, IDLE_S, REST_S, PATIENCE_S = 8.0, 20.0, 0.2, 30.0
 DRAWN = "looking up the live picture"
 HALT = "\\"
 
@@ -95,21 +97,13 @@ def measure(server, folder, stops):
             spent.clear()
             ctx.yield_(FRAMES)
             rows.extend(panel_rows(spent))
-            wire = folder / "wire" / "stage-z.jsonl"
-            stopped = [stop_once(ctx, console, wire, k) for k in range(stops)]
-            late_ms = sorted(whole for whole, _ in stopped)
-            console.release_stop()
-            wait(ctx, lambda: not console.stopped)
-            rows.append((f"Esc to the stop on the wire, median of {stops}, ms", statistics.median(late_ms), None))
-            sent_ms = statistics.median(sent for _, sent in stopped)
-            rows.append(("of it after the key was seen, ms", sent_ms, None))
-            rows.append(("Esc to the stop, 99th percentile, ms", late_ms[int(0.99 * (len(late_ms) - 1))], 100))
             beside.extend(run_beside(ctx, console, folder / f"beside-{k}") for k in range(ROUNDS))
             if console.state.live:
                 console.live()
             wait(ctx, lambda: not console.state.live)
 
         testing.run(test_function=drive, runner_params=window.params)
+    rows.extend(stop_rows(server, folder / "wire" / "stage-z.jsonl", stops))
     rows.append(("idle, share of a core, %", 100 * idle_share(server), 10))
     ratio = statistics.median(beside) / statistics.median(alone)
     rows.append(("time of a stack beside the console, live view on, over alone", ratio, 1.02))
@@ -120,17 +114,24 @@ def measure(server, folder, stops):
 
 def idle_share(server) -> float:
     """Return the processor time of a console nobody touches, as a user starts it, over the time it took."""
-    command = [*PROGRAM, "console", "--server", str(server.connection)]
-    console = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-    try:
+    with started_console(server) as console:
         time.sleep(SETTLED_S)
         before = spent_s(console.pid), time.monotonic()
         time.sleep(IDLE_S)
         after = spent_s(console.pid), time.monotonic()
+    return (after[0] - before[0]) / (after[1] - before[1])
+
+
+@contextmanager
+def started_console(server):
+    """Start a console as a user does."""
+    command = [*PROGRAM, "console", "--server", str(server.connection)]
+    console = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    try:
+        yield console
     finally:
         console.terminate()
         console.wait()
-    return (after[0] - before[0]) / (after[1] - before[1])
 
 
 def spent_s(pid: int) -> float:
@@ -163,29 +164,44 @@ def taken_s(folder: Path) -> float:
     return (arrivals[-1] - arrivals[0]) / 1e9
 
 
-def stop_once(ctx, console, wire: Path, k: int) -> float:
-    """Press Esc while the stage moves; return how long it took until the halt was on its line, in ms."""
-    if console.stopped:
-        console.release_stop()
-        wait(ctx, lambda: not console.stopped)
-    console.go(150.0 if k % 2 else -150.0)
-    ctx.yield_(1)
-    seen = len(wire.read_text().splitlines())
-    asked_s = []
-    stop = console.stop
-    console.stop = lambda: (asked_s.append(time.monotonic()), stop())
-    pressed_s = time.monotonic()
-    ctx.key_press(imgui.Key.escape)
+def stop_rows(server, wire: Path, stops: int):
+    """Press Esc in a console as a user starts it, live frames shown, the stage moving by another client's command."""
+    keyboard, late_ms = Keyboard(), []
+    with server.client() as client, started_console(server):
+        client.command("bench")
+        client.start_live(30.0)
+        time.sleep(SETTLED_S)
+        for k in range(stops):
+            client.ask(requests.MoveStage(z_um=150.0 if k % 2 else -150.0))
+            time.sleep(random.uniform(0.05, 0.15))  # at any moment of a frame
+            late_ms.append(1000 * stopped_after_s(keyboard, wire))
+            client.wait_for(lambda state: state.stopped, PATIENCE_S)
+            time.sleep(REST_S)
+            client.clear_stop()
+        client.stop_live()
+    late_ms.sort()
+    p99_ms = late_ms[min(int(0.99 * stops), stops - 1)]
+    return [
+        (f"Esc at the keyboard to the stop on the wire, median of {stops}, ms", statistics.median(late_ms), None),
+        ("the same, 99th percentile, ms", p99_ms, 100),
+    ]
 
-    def halts_s():
-        lines = [json.loads(line) for line in wire.read_text().splitlines()[seen:]]
-        return [line["t"] for line in lines if line["to"] == "device" and line["bytes"].startswith(HALT)]
 
-    wait(ctx, lambda: asked_s)
-    wait(ctx, halts_s)
-    del console.stop
-    wait(ctx, lambda: console.state.stopped and not console.bench.stop_asked)  # halts are repeated until then
-    return 1000 * (halts_s()[0] - pressed_s), 1000 * (halts_s()[0] - asked_s[0])
+def stopped_after_s(keyboard, wire: Path) -> float:
+    """Press Esc and return how long it took until a halt was on the line of the stage."""
+    with wire.open() as lines:
+        lines.seek(0, os.SEEK_END)
+        pressed_s = time.monotonic()
+        keyboard.escape(down=True)
+        while True:
+            line = lines.readline()
+            if not line.endswith("\n"):
+                time.sleep(0.002)
+                continue
+            told = json.loads(line)
+            if told["to"] == "device" and told["bytes"].startswith(HALT):
+                keyboard.escape(down=False)
+                return told["t"] - pressed_s
 
 
 def timed_panels(window):
