@@ -27,6 +27,7 @@ from display.stereo import Stereo
 from processing.heights import read_heights
 from processing.outputs import write_durably
 from processing.pictures import png_bytes
+from processing.readers_run import NM_PER_UM, depths_nm, is_cut
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -191,13 +192,13 @@ class Data:
 def volume_of(path: Path) -> Volume:
     """Return a stack as a volume.
 
-    Of a run of sections, the middle plane of each, as deep as what was taken off; of a stack that ended early, the
-    planes that were taken.
+    Of a run of sections with stacks, the middle plane of each, as deep as the feed read back; of a stack that ended
+    early, the planes that were taken.
     """
     run = open_run(path) if is_run(path) else None
     if run is None:
         return load_volume(path)
-    if run.layout.sections > 1 and run.manifest["recipe"].get("sections") is not None:
+    if run.layout.sections > 1 and run.layout.planes_each > 1 and is_cut(run):
         return _faces(run)
     begun = run.missing and run.layout.sections == 1 and len(run.layout.channels) < 2
     return _begun(run) if begun else load_volume(path)
@@ -206,7 +207,10 @@ def volume_of(path: Path) -> Volume:
 def _faces(run: StoredRun) -> Volume:
     middle = run.layout.planes_each // 2
     slots = [slot for slot, each in sorted(run.planes.items()) if (each.header.plane, each.header.band) == (middle, 0)]
-    return _planes(run, slots, run.manifest["recipe"]["sections"]["thickness_nm"] / 1000)
+    depth_nm, _ = depths_nm(run, [run.layout.place(slot)[0] for slot in slots])
+    if depth_nm is None or len(slots) < 2:
+        return _planes(run, slots, 1.0)
+    return _planes(run, slots, float(np.ptp(depth_nm)) / (len(slots) - 1) / NM_PER_UM)
 
 
 def _begun(run: StoredRun) -> Volume:

@@ -331,7 +331,8 @@ def _tour(tour: Tour) -> None:
 
 def _alarms(console: Console) -> None:
     imgui.set_next_window_size(w.em(34, 0), imgui.Cond_.appearing)
-    imgui.set_next_window_pos(w.em(8, 3), imgui.Cond_.appearing)
+    screen = imgui.get_main_viewport().size  # beside the position of the stage, above what a run asks
+    imgui.set_next_window_pos(imgui.ImVec2(0.27 * screen.x, w.em(5).x), imgui.Cond_.appearing)
     _, opened = imgui.begin("Alarms", True)  # noqa: FBT003  the library's
     console.shows_alarms = bool(opened)
     for line in console.alarms.unseen:

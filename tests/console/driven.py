@@ -187,10 +187,9 @@ def glasses(hand):
 def crash(hand):
     """Start a run; the process that flips dies, the run and the console go on; then die as a crash does."""
     console = hand.console
-    console.form.exposure_ms = 40.0  # a run that lasts
     hand.ctx.window_focus("//Stack")
-    hand.enter("//Stack/planes", 300)
-    hand.wait(lambda: getattr(console.planned, "planes", 0) == 300)
+    hand.enter("//Stack/planes", 600)  # a run that lasts
+    hand.wait(lambda: getattr(console.planned, "planes", 0) == 600)
     hand.start()
     hand.wait(lambda: console.run.taken > 5)
     os.kill(console.flipping.pid, signal.SIGKILL)

@@ -15,10 +15,10 @@ from display.console import model
 from display.console.app import opened
 from display.console.instrument import Served
 from display.console.setup import Later
-from display.console.window import BUSY_HZ, ConsoleWindow
+from display.console.window import ConsoleWindow
 
 PATIENCE = int(os.environ.get("STEREOTOME_PATIENCE", "900"))  # frames
-WAITING_HZ = 8.0
+WAITING_HZ, ACTING_HZ = 8.0, 120.0
 LIVE_HZ = 10.0
 KEY = imgui.Key
 MENU = "//##MainMenuBar/##MenuBar"
@@ -38,7 +38,7 @@ class Hand:
         pace = self.window.params.fps_idling
         for _ in range(PATIENCE):
             if found := wanted():
-                pace.fps_max = BUSY_HZ
+                pace.fps_max = ACTING_HZ
                 return found
             pace.fps_max = WAITING_HZ  # who waits needs no more pictures than that
             self.ctx.yield_()

@@ -30,6 +30,9 @@ def draw(console: Console) -> None:
         return
     _histogram(console, seen)
     _contrast(console)
+    if console.eyes.afar:
+        w.words("previews from afar: saturation and focus cannot be judged by them", w.ORANGE)
+        return
     _ends(seen)
     _focus(console)
 

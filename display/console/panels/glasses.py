@@ -40,7 +40,7 @@ def draw(console: Console) -> None:
     _, flipping.windowed = imgui.checkbox("in a window, not the whole display", flipping.windowed)
     imgui.end_disabled()
     for kind, (label, what) in TESTS.items():
-        if w.button(label, "", f"{what} (G)" if kind == "eyes" else what, 7):
+        if w.button(label, "", f"{what} (G)" if kind == "eyes" else what):
             flipping.begin(kind)
         imgui.same_line()
     if w.button("End", "" if flipping.shows else "nothing is shown"):

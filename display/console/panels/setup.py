@@ -14,12 +14,14 @@ if TYPE_CHECKING:
 
 def draw(setup: Setup) -> None:
     """Draw the dialogue in the middle of the window."""
-    imgui.set_next_window_size(w.em(38, 0), imgui.Cond_.appearing)
-    imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing, imgui.ImVec2(0.5, 0.5))
+    room = imgui.get_main_viewport().size
+    imgui.set_next_window_size(imgui.ImVec2(min(w.em(38).x, room.x), 0))
+    imgui.set_next_window_pos(imgui.ImVec2(room.x / 2, w.em(3).x), imgui.Cond_.appearing, imgui.ImVec2(0.5, 0))
     imgui.begin("First start", None, imgui.WindowFlags_.no_collapse)
     w.words("No instrument is served here. Describe yours, or look around on the simulated one.")
     if w.button("Simulated bench", setup.doing, "a microscope, a camera and a specimen, all of it simulated"):
         setup.simulate()
+    w.words(setup.doing or setup.words or " ", w.BLUE if setup.doing else w.ORANGE)
     imgui.separator_text("z stage")
     _stage(setup)
     imgui.separator_text("camera and optics")
@@ -30,8 +32,6 @@ def draw(setup: Setup) -> None:
     why_not = setup.doing or ("" if setup.port else "name the port of the stage")
     if w.button("Write and start", why_not, "nothing moves"):
         setup.start()
-    if setup.doing or setup.words:
-        w.words(setup.doing or setup.words, w.BLUE if setup.doing else w.ORANGE)
     imgui.end()
 
 
@@ -52,9 +52,9 @@ def _stage(setup: Setup) -> None:
     setup.driver = w.choice("driver", setup.stages, setup.driver, 9)
     imgui.same_line()
     setup.baud = w.whole("baud", setup.baud, 300, 1_000_000)
-    low_um, high_um = (
-        w.number(label, value, 5)[1] for label, value in zip(("lowest µm", "highest µm"), setup.limits_um, strict=True)
-    )
+    low_um = w.number("lowest µm", setup.limits_um[0], 5)[1]
+    imgui.same_line()
+    high_um = w.number("highest µm", setup.limits_um[1], 5)[1]
     setup.limits_um = (low_um, high_um)
     w.words("Drive to both ends by hand first, with the objective in mind: nothing is sent beyond them.", w.GREY)
 

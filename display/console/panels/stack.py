@@ -122,7 +122,7 @@ def cost_words(planned: Planned) -> list[str]:
 
 
 def _under_way(console: Console, run: RunView) -> None:
-    imgui.text(f"{run.name}: {run.state}, {run.phase}")
+    imgui.text(f"{run.name}: {run.state}" + ("" if run.state == "PAUSED" else f", {run.phase}"))
     w.words(run.folder, w.GREY)
     if run.sections > 1:
         imgui.progress_bar(
