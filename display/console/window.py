@@ -49,6 +49,7 @@ class ConsoleWindow:
         self.canvas: Canvas | None = None
         self.review: review.ReviewPanel | None = None
         self._failed: set[str] = set()
+        self._idles = False
         self._chords = [_chord(binding) for binding in BINDINGS if binding.key != "escape"]
         self._reviewer = Reviewer(console.journal, console.flipping)
         self._draws: dict[str, Callable[[Console], None]] = {
@@ -157,7 +158,7 @@ class ConsoleWindow:
         """Draw with ModernGL in the window's own context; be woken by what the instrument tells."""
         import glfw  # noqa: PLC0415  after imgui_bundle, which names the library that both use
 
-        self.console.bench.wake = glfw.post_empty_event
+        self.console.bench.wake = lambda: glfw.post_empty_event() if self._idles else None
         self.canvas = Canvas(window_context())
         self.review = review.ReviewPanel(self.canvas, self._reviewer)
         self._draws["Review"] = self.review.draw
@@ -181,6 +182,7 @@ class ConsoleWindow:
         console.tick()
         live = console.state is not None and console.state.live
         console_busy = console.running or live or console.stick.device is not None
+        self._idles = not console_busy  # a busy window comes round by itself: more pictures would slow a run
         self.params.fps_idling.fps_idle = BUSY_HZ if console_busy else IDLE_HZ
         if console.reviewing:
             self._review(console)
