@@ -159,17 +159,18 @@ class FocalArray:
     def group_json(self, name: str, extra: dict[str, Any] | None = None) -> dict[str, Any]:
         """Return the image's ``zarr.json``: axes in µm, scale and translation, channels.
 
-        Without a pixel size, x and y have scale 1 and no unit. ``extra`` is kept under ``attributes.stereotome``:
-        OME-Zarr itself has no place for what differs from plane to plane.
+        Without a pixel size, x and y have scale 1 and no unit, and without a step too z has none. ``extra`` is under
+        ``attributes.stereotome``: OME-Zarr itself has no place for what differs from plane to plane.
         """
         lateral: dict[str, str] = {} if self.pixel_um is None else {"unit": "micrometer"}
+        along_z: dict[str, str] = {"unit": "micrometer"} if self.step_um or lateral else {}
         pixel = self.pixel_um or 1.0
         multiscale = {
             "name": name,
             "axes": [
                 {"name": "t", "type": "time", **({"unit": "second"} if self.interval_s else {})},
                 {"name": "c", "type": "channel"},
-                {"name": "z", "type": "space", "unit": "micrometer"},
+                {"name": "z", "type": "space", **along_z},
                 {"name": "y", "type": "space", **lateral},
                 {"name": "x", "type": "space", **lateral},
             ],

@@ -10,19 +10,21 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from dask.utils import parse_bytes
 
-from acquire.ome_zarr import FocalArray, replace_json
+from acquire.ome_zarr import replace_json
 from devices.errors import InputError
 from processing.block_counts import Counts, Limits, Renumber, SlabLabels
 from processing.outputs import peak_memory_mb
 from processing.pipeline import Pipeline, Step
 from processing.result_folder import plain
 from processing.slabs import LocalSteps, Stage, Volumes, kernel_type
+from processing.step_outputs import layout_of
 from processing.volume_files import create_volume, levels_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from acquire.ome_zarr import FocalArray
     from processing.step_inputs import Choices, Given
 
     S = TypeVar("S", bound=Stage)
@@ -277,10 +279,9 @@ class Blockwise:
 
     def _layout(self, dtype: str) -> FocalArray:
         given = self.volumes.given
-        dz, _, dx = given.spacing_um
         start_um = float(given.about["z_um"][0]) if "z_um" in given.about else 0.0
-        count, *plane = self.shape
-        return FocalArray(count, tuple(plane), dtype, start_um, dz, dx, levels=levels_of(tuple(plane)))
+        layout = layout_of(self.shape, dtype, given.spacing_um if given.scaled else None, start_um)
+        return replace(layout, levels=levels_of(layout.shape))
 
     def _done(self, title: str, stage: S) -> S:
         """Have a stage done; what is left of an image that was being made is kept with its marks."""

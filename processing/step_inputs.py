@@ -66,6 +66,8 @@ class Given:
         The stacks of ``volume`` or of ``bands``.
     notes : tuple of str
         What the user is told.
+    scaled : bool
+        The size of the voxels is known.
     """
 
     source: Path
@@ -73,6 +75,7 @@ class Given:
     maps: Layers = field(default_factory=dict)
     stacks: dict[str, Sequence[Stack]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    scaled: bool = True
 
     @property
     def names(self) -> list[str]:
@@ -131,7 +134,7 @@ def opened_stack(stack: Stack, pixel_um: float | None = None) -> Given:
         note = neighbours(26, spacing).note
     about["spacing_um"] = spacing
     notes = (*stack.notes, *([note] if note else []))
-    return Given(stack.source, about, stacks={"volume": [stack]}, notes=notes)
+    return Given(stack.source, about, stacks={"volume": [stack]}, notes=notes, scaled=note != UNKNOWN)
 
 
 def _open_maps(source: Path, found: dict[str, Path], choices: Choices) -> Given:

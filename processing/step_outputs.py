@@ -34,29 +34,30 @@ def files_of(pipeline: Pipeline) -> list[str]:
     return [*files, "relief.png", "report.json"]
 
 
-def write_layers(part: Path, made: Layers, spacing_um: Spacing, start_um: float = 0.0) -> list[str]:
+def write_layers(part: Path, made: Layers, spacing_um: Spacing | None, start_um: float = 0.0) -> list[str]:
     """Write each layer as what it is; returns the names of the files.
 
     Parameters
     ----------
     made : dict
         Layers that the steps made.
-    spacing_um : tuple of float
-        Of the volumes.
+    spacing_um : tuple of float or None
+        Of the volumes; None where it is not known, and then the files name none.
     start_um : float
         Position of their first plane.
     """
+    pixel_um = 1.0 if spacing_um is None else spacing_um[2]
     for name, value in made.items():
         if isinstance(value, Table):
             write_durably(part / f"{name}.csv", csv_bytes(value.columns, value.rows))
         elif isinstance(value, Picture):
             write_durably(part / f"{name}.png", png_bytes(value.pixels))
         elif np.ndim(value) == 2:
-            write_map(part, name, np.asarray(value), made.get("pixel_um", spacing_um[2]))
+            write_map(part, name, np.asarray(value), made.get("pixel_um", pixel_um))
         elif np.ndim(value) >= 3:
             write_any_volume(part, name, np.asarray(value), spacing_um, start_um)
     if np.ndim(made.get("range", 0)) == 2:
-        write_durably(part / "relief.png", png_bytes(relief_picture(made["range"], spacing_um[2])))
+        write_durably(part / "relief.png", png_bytes(relief_picture(made["range"], pixel_um)))
     return sorted(path.name for path in part.iterdir())
 
 
@@ -67,15 +68,22 @@ def write_map(part: Path, name: str, values: Array, pixel_um: float | None) -> N
     write_durably(part / f"{name}.png", png_bytes(range_picture(kept.astype(np.float32), name, pixel_um)))
 
 
-def write_any_volume(part: Path, name: str, volume: Array, spacing_um: Spacing, start_um: float) -> None:
+def write_any_volume(part: Path, name: str, volume: Array, spacing_um: Spacing | None, start_um: float) -> None:
     """Write a volume with a picture of its middle cuts; types that pictures do not have as NPY."""
     if volume.dtype.name not in WRITTEN:
         np.save(part / f"{name}.npy", volume)
         return
-    dz, _, dx = spacing_um
-    layout = FocalArray(len(volume), volume.shape[1:], str(volume.dtype), start_um, dz, dx)
+    layout = layout_of(volume.shape, str(volume.dtype), spacing_um, start_um)
     write_volume(part, name, name, layout, iter(volume))
-    write_durably(part / f"{name}.png", png_bytes(middle_cuts(volume, dz / dx)))
+    deep = 1.0 if spacing_um is None else spacing_um[0] / spacing_um[2]
+    write_durably(part / f"{name}.png", png_bytes(middle_cuts(volume, deep)))
+
+
+def layout_of(shape: tuple[int, ...], dtype: str, spacing_um: Spacing | None, start_um: float) -> FocalArray:
+    """Return how a volume (z, y, x) is written; without sizes where none are known."""
+    if spacing_um is None:
+        return FocalArray(shape[0], shape[1:], dtype, 0.0, 0.0, None)
+    return FocalArray(shape[0], shape[1:], dtype, start_um, spacing_um[0], spacing_um[2])
 
 
 def summed_up(value: Any) -> dict[str, Any]:

@@ -188,7 +188,7 @@ class Task:
             "input": self._input(given),
             "notes": list(given.notes),
             "steps": self.pipeline.tables(),
-            "spacing_um": given.spacing_um,
+            "spacing_um": given.spacing_um if given.scaled else None,
             "pixel_um": given.about.get("pixel_um"),
             **about,
             "seconds": round(clock.now() - begin, 3),
@@ -256,8 +256,13 @@ def parted(made: Layers) -> tuple[Layers, Layers]:
     return {name: value for name, value in made.items() if name not in files}, files
 
 
-def made_spacing(made: Layers, given: Given) -> tuple[float, float, float]:
-    """Return the spacing of volumes after the steps: those that change it say where planes and pixels lie then."""
+def made_spacing(made: Layers, given: Given) -> tuple[float, float, float] | None:
+    """Return the spacing of volumes after the steps: those that change it say where planes and pixels lie then.
+
+    None where it is not known.
+    """
+    if not given.scaled and "pixel_um" not in made:
+        return None
     dz, dy, dx = given.spacing_um
     pixel = made.get("pixel_um")
     z_um = np.asarray(made.get("z_um", ()))

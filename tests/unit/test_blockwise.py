@@ -19,6 +19,7 @@ from devices.errors import InputError
 from processing import block_runners, blockwise, slabs
 from processing.labels import components
 from processing.masks import threshold
+from processing.stack import open_stack
 from processing.volume_files import create_volume, levels_of, write_plane
 from processing.volume_filters import sobel
 
@@ -199,3 +200,19 @@ def test_workers_of_which_one_is_killed_give_the_same(
     assert (tmp_path / "killed").exists()
     mask = threshold(GREY, above=110)[0]
     np.testing.assert_array_equal(image(tmp_path / "out"), components(mask, rule=6)[0])
+
+
+@pytest.mark.parametrize("memory", [[], ["--memory", "2GB"]])
+def test_sizes_that_are_not_known_are_not_written(data: Path, tmp_path: Path, memory: list[str]) -> None:
+    out = tmp_path / "out"
+    assert run(["process", "volume", "filter.sobel", str(data), "-o", str(out), "-q", *memory]) == 0
+    assert json.loads((out / "report.json").read_text())["spacing_um"] is None
+    group = json.loads((out / "volume.ome.zarr" / "zarr.json").read_text())
+    axes = group["attributes"]["ome"]["multiscales"][0]["axes"]
+    assert not any("unit" in axis for axis in axes if axis["type"] == "space")
+    again = open_stack(out / "volume.ome.zarr")
+    assert again.pixel_um is None
+    assert again.z_um is None
+    if not memory:
+        with tifffile.TiffFile(out / "volume.ome.tif") as file:
+            assert "PhysicalSize" not in str(file.ome_metadata)
