@@ -17,6 +17,7 @@ from devices.errors import InputError
 from processing.focus import SHARPNESS, FocusResult, focus_stack
 from processing.focus_tracks import Method, Options  # noqa: TC001  as above
 from processing.focus_view import View, ViewedPlanes
+from processing.memory import check_memory
 from processing.outputs import about_stack, check_folder, peak_memory_mb, write_focus_result
 from processing.range_operators import fill as fill_range
 from processing.stack import Stack, open_stack
@@ -35,6 +36,7 @@ Registration = Literal["auto", "on", "off"]
 REGISTER: dict[Registration, bool | Literal["auto"]] = {"auto": "auto", "on": True, "off": False}
 BANDS = ("red", "green", "blue")
 Switch = Parameter(negative="")
+BYTES_PER_PIXEL, BYTES_PER_BAND = 50, 20  # measured, the soft pyramid of transparent specimens included
 HARDLY_SURE = 0.02  # share of the pixels
 
 
@@ -94,6 +96,7 @@ def focus(
     """
     check_folder(output, overwrite=overwrite)
     opened = open_stack(stack, step_um=step_um, channel=channel, time=time)
+    check_memory(needed_bytes(opened), f"the focus of {opened.source}", "cut the planes into fields, or bin them first")
     _say_notes([] if quiet else opened.notes)
     view = View(azimuth_deg, tilt_deg) if azimuth_deg or tilt_deg else None
     options: Options = {"method": method, "threshold": threshold, "band": None if band is None else BANDS.index(band)}
@@ -151,6 +154,12 @@ class Work:
             )
         planes = ViewedPlanes(stack, stack.z_um, stack.pixel_um, self.view, band=self.options["band"])
         return planes, None if stack.z_um is None else planes.depth, {**self.options, "band": None}
+
+
+def needed_bytes(stack: Stack) -> float:
+    """Return about what the state, the maps and the picture of a stack take at most, whatever its number of planes."""
+    pixels = stack.shape[0] * stack.shape[1]
+    return float(pixels * (BYTES_PER_PIXEL + BYTES_PER_BAND * (3 if stack.colour else 1)))
 
 
 def doubtful(share_confident: float, planes: int) -> str:

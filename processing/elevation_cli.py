@@ -16,6 +16,7 @@ from devices.clock import SystemClock
 from devices.errors import InputError
 from processing.elevation import Elevation, Geometry, Method, elevation, levelled
 from processing.elevation_outputs import FILES, contents, report
+from processing.memory import check_memory
 from processing.outputs import peak_memory_mb
 from processing.result_folder import check_results, plain, write_results
 from processing.stack import open_stack
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[Any]
 
+BYTES_PER_PIXEL = 120  # of maps, places and errors, for each view beyond the first
 Switch = Parameter(negative="")
 
 
@@ -180,6 +182,9 @@ def opened_views(
                 fix="make its extended focus first: stereotome process focus STACK -o DIR",
                 code="stereo-planes",
             )
+    pixels = stacks[0].shape[0] * stacks[0].shape[1]
+    needed = pixels * BYTES_PER_PIXEL * (len(stacks) - 1)
+    check_memory(needed, f"the elevation of {stacks[0].source}", "cut the views into fields, or bin them first")
     notes = [note for stack in stacks for note in stack.notes if not note.startswith("one plane")]
     geometry = taking.geometry(stacks[0].pixel_um)
     further = tuple(further_view(tilt_deg, geometry.views[0].distance_um) for _, tilt_deg in more)

@@ -174,3 +174,16 @@ def test_clipped_views_are_said_so_and_the_clipped_part_is_left_open(tmp_path: P
     assert command(tmp_path / "l.png", tmp_path / "r.png", "-o", tmp_path / "out", *ARGUMENTS) == 0
     assert "of the left view is at its brightest value" in capsys.readouterr().err
     assert tifffile.imread(tmp_path / "out" / "valid.tif")[:, 62:88].mean() < 5
+
+
+@pytest.mark.parametrize("command", ["focus", "elevation"])
+def test_planes_that_memory_cannot_hold_are_refused_with_the_figures(command, tmp_path: Path, monkeypatch, capsys):
+    monkeypatch.setattr("processing.memory.free_bytes", lambda: 100_000)
+    for name in ("left", "right"):
+        np.save(tmp_path / f"{name}.npy", np.random.default_rng(len(name)).integers(0, 255, (1, 64, 64), np.uint8))
+    views = [str(tmp_path / "left.npy"), *([str(tmp_path / "right.npy")] if command == "elevation" else [])]
+    given = ["--tilt-deg", "8", "--pixel-um", "1"] if command == "elevation" else []
+    assert run(["process", command, *views, *given, "-o", str(tmp_path / "out"), "-q"]) == 2
+    said = capsys.readouterr().err
+    assert "error[memory]" in said
+    assert "GB can be used" in said
