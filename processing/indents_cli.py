@@ -192,6 +192,12 @@ def opened_face(path: Path, pixel_um: float | None) -> tuple[Array, float]:
     """
     fei = fei_facts(path)
     stack = open_stack(path)
+    if len(stack) > 1:
+        raise InputError(
+            f"{path} holds {len(stack)} planes; a face is one picture.",
+            fix="give a file for each face, in the order of polishing",
+            code="stereo-planes",
+        )
     image = stack[0] if stack[0].ndim == 2 else stack[0].mean(axis=2)
     rows = int(fei.get("Image", {}).get("ResolutionY", image.shape[0]))
     from_fei = fei.get("Scan", {}).get("PixelWidth")

@@ -160,3 +160,9 @@ def test_depths_that_make_no_sense_are_refused(tmp_path: Path, table: str, capsy
     asked = ["--depths", str(tmp_path / "depths.csv"), "-o", str(tmp_path / "out"), "-q"]
     assert run(["process", "align", str(tmp_path / "two.npy"), *asked]) == 2
     assert "align-depths" in capsys.readouterr().err
+
+
+def test_a_stack_is_no_face(tmp_path: Path, capsys):
+    np.save(tmp_path / "two.npy", np.zeros((2, 64, 64), np.uint8))
+    assert run(["process", "indents", str(tmp_path / "two.npy"), "-o", str(tmp_path / "out"), "--pixel-um", "1"]) == 2
+    assert "a face is one picture" in capsys.readouterr().err
