@@ -174,8 +174,10 @@ class Eyes:
         ring = self._ring()
         if not ring:
             return None
-        self.afar = not Path(ring).exists() and self._instrument() is not None
-        self._look_afar(self._instrument() if self.afar else None)
+        instrument = self._instrument()
+        # one that was found here is here, though the ring it names may just be gone
+        self.afar = instrument is not None and not instrument.meeting.pid and not Path(ring).exists()
+        self._look_afar(instrument if self.afar else None)
         return self._viewer.newest(0.0) if self._previews is None else self._previews.newest()
 
     def _look_afar(self, instrument: Instrument | None) -> None:

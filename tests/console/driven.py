@@ -6,6 +6,7 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 from hand import KEY
 from imgui_bundle import imgui
 
@@ -205,6 +206,8 @@ def picks_up(hand):
     hand.wait(lambda: hand.console.eyes.seen)
     hand.shot("console_200")
     console, before = hand.console, hand.console.eyes.seen
+    met = console.eyes._instrument()
+    met.meeting = msgspec.structs.replace(met.meeting, pid=0)  # as one named by its address
     console.eyes._ring = lambda: "/on/another/computer"
     hand.wait(lambda: console.eyes.afar and console.eyes.seen is not before)
     assert console.eyes.seen.pixels.shape == before.pixels.shape

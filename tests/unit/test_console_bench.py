@@ -191,3 +191,22 @@ def test_eyes_follow_from_ring_to_ring_of_another_size_and_depth(tmp_path):
     finally:
         eyes.close()
     assert not any(thread.name == "eyes" for thread in threading.enumerate())
+
+
+@pytest.mark.parametrize(("pid", "afar"), [(123, False), (0, True)])
+def test_only_an_instrument_named_by_its_address_is_seen_from_afar(tmp_path, pid, afar):
+    previews = SimpleNamespace(newest=lambda: None, close=lambda: None)
+    instrument = SimpleNamespace(meeting=SimpleNamespace(pid=pid), previews=lambda: previews)
+    asked = []
+
+    def there():
+        asked.append(1)
+        return instrument
+
+    # the ring it names is just gone, or on another computer
+    eyes = Eyes(lambda: str(tmp_path / "gone"), lambda: 255, instrument=there)
+    try:
+        until(lambda: len(asked) > 5)
+        assert eyes.afar == afar
+    finally:
+        eyes.close()
