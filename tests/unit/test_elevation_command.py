@@ -176,7 +176,7 @@ def test_clipped_views_are_said_so_and_the_clipped_part_is_left_open(tmp_path: P
     assert tifffile.imread(tmp_path / "out" / "valid.tif")[:, 62:88].mean() < 5
 
 
-@pytest.mark.parametrize("command", ["focus", "elevation"])
+@pytest.mark.parametrize("command", ["focus", "elevation", "align"])
 def test_planes_that_memory_cannot_hold_are_refused_with_the_figures(command, tmp_path: Path, monkeypatch, capsys):
     monkeypatch.setattr("processing.memory.free_bytes", lambda: 100_000)
     for name in ("left", "right"):
