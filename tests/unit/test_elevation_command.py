@@ -178,7 +178,7 @@ def test_clipped_views_are_said_so_and_the_clipped_part_is_left_open(tmp_path: P
 
 @pytest.mark.parametrize("command", ["focus", "elevation", "align"])
 def test_planes_that_memory_cannot_hold_are_refused_with_the_figures(command, tmp_path: Path, monkeypatch, capsys):
-    monkeypatch.setattr("processing.memory.free_bytes", lambda: 100_000)
+    monkeypatch.setattr("processing.memory.free_bytes", lambda: 50_000)
     for name in ("left", "right"):
         np.save(tmp_path / f"{name}.npy", np.random.default_rng(len(name)).integers(0, 255, (1, 64, 64), np.uint8))
     views = [str(tmp_path / "left.npy"), *([str(tmp_path / "right.npy")] if command == "elevation" else [])]
