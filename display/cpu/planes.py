@@ -86,13 +86,14 @@ def cut_row(
     begin, end = 0.0, float(seen.shape[1] - 1)
     for a, (start, step) in enumerate(((x, dx), (y, dy), (z, dz))):
         begin, end = inside(start, step, geometry[6, a] + 1 - HAIR, geometry[7, a] + 1 + HAIR, begin, end)
-    line = (0.0, 0.0, 0.0, x, y, z, dx, dy, dz, 0.0, 0.0, 0.0)
     reach = length_um(along, geometry[5])
     beyond = int(np.floor(end)) + 1
     for first in range(int(np.ceil(begin)), beyond, RUN):
         count = min(beyond - first, RUN)
         if scale[SMOOTH] > 0:
-            draw(grid, room, line, first, count)
+            # from a place within the volume: of a plane seen edge-on the row begins too far away for 32 bits
+            place = (x + first * dx, y + first * dy, z + first * dz)
+            draw(grid, room, (0.0, 0.0, 0.0, *place, dx, dy, dz, 0.0, 0.0, 0.0), 0, count)
         else:
             for s in range(count):
                 i = first + s
