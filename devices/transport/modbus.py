@@ -40,6 +40,7 @@ log = logging.getLogger(__name__)
 
 Addressed = tuple[int, RegisterWrite]
 
+GONE = (ConnectionException, OSError, TypeError, AttributeError)  # the last two: closed by another thread meanwhile
 READ_ATTEMPTS = 3
 NOISY_ROUNDS = 4
 URGENT_WAIT_S = 0.04
@@ -113,6 +114,7 @@ class ModbusBus:
         self._clock = clock
         self._gap_s = gap_s
         self._conversation = Lock()
+        self._urgent = Lock()
         self._must_drain = False
         self._spoke_s = clock.now() - gap_s
         self._client = connect()
@@ -147,18 +149,20 @@ class ModbusBus:
         """Write within 40 ms, even into a conversation going on, which then finds no answer; then once more in turn.
 
         All are sent, whatever becomes of the first. If an answer is missing, or is one to what was asked before, all
-        are sent again once the line is quiet; the last failure of that is raised.
+        are sent again once the line is quiet; the last failure of that is raised. Never into another urgent
+        conversation: both stop the same drive, and neither would be answered.
         """
-        if not self._conversation.acquire(timeout=URGENT_WAIT_S):
-            self._shout(requests)
-            self._conversation.acquire()
-        try:
-            failures = self._write_anyway(requests)
-            if failures:
-                self._must_drain = True
-                failures = self._write_anyway(requests, drain=True)
-        finally:
-            self._conversation.release()
+        with self._urgent:
+            if not self._conversation.acquire(timeout=URGENT_WAIT_S):
+                self._shout(requests)
+                self._conversation.acquire()
+            try:
+                failures = self._write_anyway(requests)
+                if failures:
+                    self._must_drain = True
+                    failures = self._write_anyway(requests, drain=True)
+            finally:
+                self._conversation.release()
         if failures:
             raise failures[-1]
 
@@ -197,7 +201,7 @@ class ModbusBus:
         self._clock.sleep(self._spoke_s + self._gap_s - self._clock.now())
         try:
             reply: ModbusPDU = self._client.execute(False, pdu)  # noqa: FBT003  the library's signature
-        except (ConnectionException, OSError) as cause:
+        except GONE as cause:
             raise self._lost(str(cause)) from cause
         except (ModbusException, ValueError, IndexError) as cause:  # IndexError: a reply cut inside its header
             self._must_drain = True
@@ -218,7 +222,7 @@ class ModbusBus:
         while self._must_drain:
             try:
                 self._must_drain = bool(self._client.recv(None))
-            except (ConnectionException, OSError) as cause:
+            except GONE as cause:
                 raise self._lost(str(cause)) from cause
             rounds += 1
             if rounds == NOISY_ROUNDS:
@@ -240,8 +244,8 @@ class ModbusBus:
     def _shout(self, requests: Sequence[Addressed]) -> None:
         try:
             for unit, request in requests:
-                self._client.send(self._client.framer.buildFrame(write_pdu(unit, request)))
-        except (ConnectionException, OSError) as cause:
+                _put(self._client.socket, self._client.framer.buildFrame(write_pdu(unit, request)))
+        except GONE as cause:
             raise self._lost(str(cause)) from cause
 
     def _lost(self, why: str) -> LinkLost:
@@ -270,6 +274,14 @@ class ModbusBus:
             reason=str(code),
             fix="compare with the manual: stereotome section check PROFILE prints every frame.",
         )
+
+
+def _put(line: Any, data: bytes) -> None:
+    """Write and do nothing else: the client's own ``send`` first reads what has come, and two readers break a port."""
+    if isinstance(line, socket.socket):
+        line.sendall(data)
+    else:
+        line.write(data)
 
 
 def read_pdu(unit: int, request: RegisterRead) -> ModbusPDU:

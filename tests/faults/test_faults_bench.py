@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,7 @@ import pytest
 
 from devices.clock import SystemClock
 from devices.errors import CameraTimeout, DeviceError, LinkError, LinkLost
+from devices.feed_values import FeedState
 from devices.registry import DeviceContext, factory
 from devices.rig import load_rig, open_rig
 from sim.pytest_plugin import StartBench
@@ -250,6 +252,19 @@ def test_the_camera_hangs(whole: tuple[SimBench, Rig]):
     bench.ask(do="fault", set="camera.hang")
     assert isinstance(outcome(rig.camera.trigger), CameraTimeout)
     assert isinstance(outcome(rig.camera.trigger), CameraTimeout)
+
+
+def test_many_stops_of_the_feed_at_once_are_all_answered(whole: tuple[SimBench, Rig]):
+    """The run's own, its server's and the console's come together, and again and again."""
+    _, rig = whole
+    rig.feed.home()
+    with ThreadPoolExecutor(8) as stopping:
+        for depth_nm in (2000.0, 4000.0, 6000.0):
+            moving = stopping.submit(outcome, lambda depth_nm=depth_nm: rig.feed.advance_to(depth_nm))
+            stops = [stopping.submit(outcome, rig.feed.halt) for _ in range(12)]
+            assert [stop.result() for stop in stops] == [None] * len(stops)
+            assert not isinstance(moving.result(), LinkLost)
+    assert rig.feed.resolve() is FeedState.READY
 
 
 @pytest.mark.parametrize("fault", ["feed.uncounted", "feed.jam"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from threading import Event, Thread
 from typing import TYPE_CHECKING
 
 import pytest
@@ -15,6 +16,7 @@ from sim.feed_line import Kind, Upset
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+PATIENCE_S = 60
 KNOWN = {FeedState.READY, FeedState.IDLE, FeedState.ALARM, FeedState.ESTOPPED}
 SPOILT: list[Kind] = ["drop", "late", "half", "garble", "wrong-unit", "noise"]
 UNHEARD: list[Kind] = ["deaf", "busy"]
@@ -412,6 +414,20 @@ def test_halt_on_a_line_that_loses_the_first_reply_still_stops_the_knife(profile
     assert bench.feed.knife_state() is KnifeState.IN_WINDOW
     bench.clock.sleep(60.0)
     assert knife.cuts_executed == 0
+
+
+@every_profile
+def test_a_halt_into_a_conversation_takes_nothing_from_it(profile: str):
+    bench = on_twin(profile).ready()
+    sent = Event()
+    bench.port.on_write = sent.set
+    halting = Thread(target=bench.feed.halt)
+    with bench.feed._bus._conversation:
+        bench.port.coming = [(0.0, b"for another")]
+        halting.start()
+        assert sent.wait(PATIENCE_S)
+        assert bench.port.coming[0] == (0.0, b"for another")
+    halting.join()
 
 
 @every_profile
