@@ -77,11 +77,6 @@ def missed(value, limit):
 def measure(server, folder, stops):
     """Return rows of (what, value, limit or None)."""
     rows = []
-    with server.client() as instrument:
-        instrument.command("bench")
-        alone = [run_once(instrument, folder / f"alone-{k}") for k in range(ROUNDS)]
-        instrument.release()
-    beside = []
     with ExitStack() as stack:
         console = opened(Served(server.connection), stack)
         window = ConsoleWindow(console, remembers=False)
@@ -97,19 +92,31 @@ def measure(server, folder, stops):
             spent.clear()
             ctx.yield_(FRAMES)
             rows.extend(panel_rows(spent))
-            beside.extend(run_beside(ctx, console, folder / f"beside-{k}") for k in range(ROUNDS))
-            if console.state.live:
-                console.live()
+            console.live()
             wait(ctx, lambda: not console.state.live)
 
         testing.run(test_function=drive, runner_params=window.params)
     rows.extend(stop_rows(server, folder / "wire" / "stage-z.jsonl", stops))
     rows.append(("idle, share of a core, %", 100 * idle_share(server), 10))
-    ratio = statistics.median(beside) / statistics.median(alone)
-    rows.append(("time of a stack beside the console, live view on, over alone", ratio, 1.02))
-    lost = sum(len(open_run(path).missing) for path in folder.glob("beside-*"))
-    rows.append(("planes lost beside the console", lost, 0))
+    rows.extend(run_rows(server, folder))
     return rows
+
+
+def run_rows(server, folder: Path):
+    """Take stacks alone and beside a console as a user starts it, in turns."""
+    ratios = []
+    with server.client() as instrument:
+        instrument.command("bench")
+        for k in range(ROUNDS):
+            alone_s = run_once(instrument, folder / f"alone-{k}")
+            with started_console(server):
+                time.sleep(SETTLED_S)
+                ratios.append(run_once(instrument, folder / f"beside-{k}") / alone_s)
+    lost = sum(len(open_run(path).missing) for path in folder.glob("beside-*"))
+    return [
+        (f"time of a stack beside the console over alone, median of {ROUNDS}", statistics.median(ratios), 1.02),
+        ("planes lost beside the console", lost, 0),
+    ]
 
 
 def idle_share(server) -> float:
@@ -148,14 +155,6 @@ def run_once(instrument, folder: Path) -> float:
     """Return the time from the first to the last plane of a stack, in s."""
     instrument.start_run(RECIPE.format(PLANES), out=folder)
     instrument.wait_for_run(300.0)
-    return taken_s(folder)
-
-
-def run_beside(ctx, console, folder: Path) -> float:
-    before = 0 if console.run is None else console.run.number
-    wait(ctx, lambda: not console.running)
-    console.bench.ask(requests.StartRun(recipe=RECIPE.format(PLANES), out=str(folder)), "bench")
-    wait(ctx, lambda: console.run is not None and console.run.number > before and not console.running)
     return taken_s(folder)
 
 

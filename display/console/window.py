@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 import traceback
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ from display.console.keys import BINDINGS, MOUSE
 from display.console.panels import camera, files, glasses, live, log, review, sections, session, setup, stack, stage
 from display.console.panels import widgets as w
 from display.console.review import Reviewer
+from display.console.thrift import FULL_HZ, Thrift
 from display.console.tour import STEPS
 from display.gl.canvas import Canvas
 from display.gl.show import window_context
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 TITLE = "Stereotome"
 SIZE = (1280, 720)
-BUSY_HZ, IDLE_HZ = 30.0, 1.0  # an event, or news from the instrument, is drawn at once
+IDLE_HZ = 1.0  # an event, or news from the instrument, is drawn at once
 LAYOUT = "console-3"
 
 
@@ -50,6 +52,7 @@ class ConsoleWindow:
         self.review: review.ReviewPanel | None = None
         self._failed: set[str] = set()
         self._idles = False
+        self._thrift = Thrift(time.process_time)
         self._chords = [_chord(binding) for binding in BINDINGS if binding.key != "escape"]
         self._reviewer = Reviewer(console.journal, console.flipping)
         self._draws: dict[str, Callable[[Console], None]] = {
@@ -93,7 +96,7 @@ class ConsoleWindow:
         params.renderer_backend_options.open_gl_options = hello_imgui.OpenGlOptions(
             glsl_version="330", major_version=3, minor_version=3, use_core_profile=True, anti_aliasing_samples=0
         )
-        params.fps_idling.fps_max = BUSY_HZ
+        params.fps_idling.fps_max = FULL_HZ
         params.fps_idling.vsync_to_monitor = False  # the stereo presenter is the one who owns the refresh
         params.fps_idling.time_active_after_last_event = 0.5
         params.ini_disable = not remembers
@@ -183,7 +186,9 @@ class ConsoleWindow:
         live = console.state is not None and console.state.live
         console_busy = console.running or live or console.stick.device is not None
         self._idles = not console_busy  # a busy window comes round by itself: more pictures would slow a run
-        self.params.fps_idling.fps_idle = BUSY_HZ if console_busy else IDLE_HZ
+        thrifty_hz = self._thrift.rate_hz()
+        busy_hz = thrifty_hz if console.running else FULL_HZ
+        self.params.fps_idling.fps_idle = busy_hz if console_busy else IDLE_HZ
         if console.reviewing:
             self._review(console)
         if console.running and console.run is not None and console.run.question is not None:
