@@ -82,7 +82,9 @@ def spread(histogram: Histogram, ignored_percent: float) -> tuple[float, float]:
     first = int(np.searchsorted(total, ignored, side="right"))
     last = int(np.searchsorted(total, total[-1] - ignored, side="left"))
     low, high = first * histogram.width, (max(last, first) + 1) * histogram.width - 1
-    return low, max(high, low + 1)
+    if high > low:
+        return low, high
+    return max(low - 1, 0.0), min(low + 1, float(histogram.top))  # one level everywhere: grey, white only at full scale
 
 
 def fitted(contrast: Contrast, histogram: Histogram) -> Contrast:

@@ -12,6 +12,17 @@ if TYPE_CHECKING:
 
     from display.console.model import Console
 
+VIEW_WORDS = (
+    "live",
+    "extended focus",
+    "range in colours",
+    "relief",
+    "planes that cross",
+    "the brightest of the volume",
+)
+
+PANELS = ("Stage", "Camera", "Stack", "Sections", "Session", "Glasses", "Files", "Review", "Log")
+
 
 @dataclass(frozen=True)
 class Binding:
@@ -49,8 +60,27 @@ def _placing(console: Console) -> None:
     console.placing = Placing()
 
 
+def _depth(key: str) -> Callable[[Console], None]:
+    return lambda console: console.viewing.press(key)
+
+
 def _crosshair(console: Console) -> None:
     console.settings.crosshair = not console.settings.crosshair
+
+
+def _view(number: int) -> Callable[[Console], None]:
+    return lambda console: console.view(number)
+
+
+def _panel(name: str) -> Callable[[Console], None]:
+    def front(console: Console) -> None:
+        console.front = name
+
+    return front
+
+
+def _full_screen(console: Console) -> None:
+    console.full_screen = not console.full_screen
 
 
 def _keys(console: Console) -> None:
@@ -65,24 +95,38 @@ BINDINGS = (
     Binding("page_down", "Ctrl+PgDn", "stage down by ten steps", _far(-1), ctrl=True, repeats=True),
     Binding("left_bracket", "[", "a smaller step", lambda console: console.jogger.choose(-1)),
     Binding("right_bracket", "]", "a larger step", lambda console: console.jogger.choose(1)),
-    Binding("space", "Space", "live view on and off", lambda console: console.live()),
-    Binding("s", "S", "save a snapshot", lambda console: console.snap()),
+    Binding("space", "Space", "live view on and off", lambda console: console.camera.live()),
+    Binding("s", "S", "save a snapshot", lambda console: console.camera.snap()),
     Binding("a", "A", "fit the contrast once", lambda console: console.auto_contrast()),
     Binding("t", "T", "top of the stack is here", lambda console: console.mark("top")),
     Binding("b", "B", "bottom of the stack is here", lambda console: console.mark("bottom")),
     Binding("t", "Ctrl+T", "go to the top", lambda console: console.visit("top"), ctrl=True),
     Binding("b", "Ctrl+B", "go to the bottom", lambda console: console.visit("bottom"), ctrl=True),
     Binding("r", "Ctrl+R", "review before a start; pause; go on", lambda console: console.run_or_pause(), ctrl=True),
+    *(Binding(f"_{n}", str(n), f"view: {what}", _view(n)) for n, what in enumerate(VIEW_WORDS, start=1)),
+    *(
+        Binding(f"_{n}", f"Ctrl+{n}", f"to the panel {name}", _panel(name), ctrl=True)
+        for n, name in enumerate(PANELS, start=1)
+    ),
+    Binding("x", "X", "exchange the eyes", lambda console: console.viewing.press("e")),
+    Binding("comma", ",", "less depth: a smaller angle between the eyes", _depth("comma"), repeats=True),
+    Binding("period", ".", "more depth", _depth("period"), repeats=True),
+    Binding("equal", "=", "enlarge the picture in front", lambda console: console.nearer(1), repeats=True),
+    Binding("minus", "-", "make it smaller", lambda console: console.nearer(-1), repeats=True),
+    Binding("l", "L", "a line through the middle, measured along; again for none", lambda c: c.across()),
     Binding("f", "F", "fit the picture to its panel", _placing),
     Binding("h", "H", "crosshair on and off", _crosshair),
-    Binding("w", "W", "the camera delivers its whole frame again", lambda console: console.set_roi(None)),
+    Binding("w", "W", "the camera delivers its whole frame again", lambda console: console.camera.set_roi(None)),
     Binding("q", "Ctrl+Q", "what the stack panel says waits in the queue", lambda c: c.queue_run(), ctrl=True),
     Binding("f2", "F2", "show alarms; again: they are seen", lambda console: console.alarms_seen()),
     Binding("g", "G", "glasses: show each eye its name; again to end", lambda console: console.glasses_test()),
+    Binding("f11", "F11", "the whole screen; again for a window", _full_screen),
     Binding("f1", "F1", "this list", _keys),
 )
 
-MOUSE = (
+ALSO = (
+    ("Tab, arrows", "from field to field of a panel; Enter presses what is framed"),
+    ("Alt", "to the bar at the top, and back"),
     ("wheel over the picture", "stage up and down by the step; with Shift ten steps"),
     ("Ctrl and wheel", "enlarge the picture where the mouse is"),
     ("drag the picture", "move it"),

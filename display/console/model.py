@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from acquire import replies, requests
@@ -12,34 +11,32 @@ from devices.clock import SystemClock
 from devices.errors import StereotomeError
 from display.console import contrast as grey
 from display.console.alarms import SOUND, Alarms, sound
+from display.console.camera_work import CameraWork
 from display.console.files import FileEditor
 from display.console.flipping import Flipping
 from display.console.journal import words_of
+from display.console.knife_work import KnifeWork
 from display.console.moving import Jogger, Marks
-from display.console.placing import Placing, inside
+from display.console.placing import Placing, enlarged
 from display.console.run_queue import RunQueue
 from display.console.settings import settings_folder
-from display.console.snapshots import write_clip, write_snapshot
 from display.console.stack_form import Advice, StackForm, advice
 from display.console.sticks import Stick
+from display.console.viewing import LIVE, REVIEW, VIEWS, Viewing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from devices.protocols import Clock
     from display.console.bench import Bench
-    from display.console.eyes import Eyes, Seen
+    from display.console.eyes import Eyes
     from display.console.journal import Journal
+    from display.console.review import Line
     from display.console.settings import Settings
     from display.console.setup import Setup
     from display.console.tour import Tour
 
 PLAN_EVERY_S = 5.0
 FORM_EVERY_S = 0.2
-LIVE_HZ = 30.0
-ARMED_FOR_S = 10.0
 TOP_OF_UNKNOWN = 4095
-Roi = tuple[int, int, int, int]
 
 
 class Console:
@@ -53,6 +50,12 @@ class Console:
         What was refused last, in words, beside the stage.
     reviewing : bool
         The review before a start is open.
+    line : ((x, y), (x, y)) or None
+        Two pixels of the live picture between which grey levels are plotted.
+    viewing : Viewing
+        What the review shows.
+    shows, front : str
+        Which of the panels with pictures was drawn last, and which is to come to the front.
     """
 
     def __init__(
@@ -74,9 +77,14 @@ class Console:
         self.queue = RunQueue()
         self.alarms = Alarms(journal, self._alarm)
         self.shows_alarms = False
-        self.roi: Roi | None = None
         self.flipping = Flipping(journal, lambda: bench.rig)
+        self.camera = CameraWork(self)
+        self.knife = KnifeWork(self)
         self.placing = Placing()
+        self.line: Line | None = None
+        self.viewing = Viewing()
+        self.shows = self.front = ""
+        self.full_screen = False
         self.jogger = Jogger(chosen=min(max(settings.jog, 0), 4))
         self.form = StackForm(folder=settings.folder, operator=settings.operator)
         self.notice = ""
@@ -86,15 +94,10 @@ class Console:
         self.tour: Tour | None = None
         self.setup: Setup | None = None
         self.target_um = 0.0
-        self.exposure_ms: float | None = None
-        self.depth_um = 0.0
-        self.feed_notice = ""
-        self.armed_s = float("-inf")
         self.measured = ""
         self.pause_scope = "plane"
-        self._clock = clock or SystemClock()
+        self.clock = clock or SystemClock()
         self._fits_first = True
-        self._largest: tuple[int, int] | None = None
         self._planned_for = ""
         self._planned_s = float("-inf")
         self._planning = False
@@ -139,6 +142,11 @@ class Console:
     def advice(self) -> Advice | None:
         """What the optics say about the distance of planes."""
         return None if self.bench.rig is None else advice(self.bench.rig)
+
+    @property
+    def feed(self) -> replies.FeedView | None:
+        """Feed and knife as read last; None without them."""
+        return None if self.state is None else self.state.feed
 
     def why_no_motion(self) -> str:
         """Return why nothing can be moved by hand now; empty when it can."""
@@ -190,25 +198,25 @@ class Console:
 
     def _stick_due(self) -> None:
         why_not = self.why_no_motion() or ("" if self.in_front else "the console's window is not in front")
-        self.stick.tick(self.jogger, self._clock.now(), why_not)
+        self.stick.tick(self.jogger, self.clock.now(), why_not)
 
     def _jog_due(self) -> None:
         if self.jogger.wanted_um and (words := self.why_no_motion()):
             self.jogger.forget()
-            self._refuse(f"{words}. Nothing moved.")
+            self.refuse(f"{words}. Nothing moved.")
         if by_um := self.jogger.due_um():
             self._move(requests.JogStage(by_um=by_um))
 
     def _plan_due(self) -> None:
-        now_s = self._clock.now()
+        now_s = self.clock.now()
         if now_s - self._form_looked_s < FORM_EVERY_S:
             return
         self._form_looked_s = now_s
         text = self.form.recipe()
-        old = self._clock.now() - self._planned_s > PLAN_EVERY_S and not self.running
+        old = self.clock.now() - self._planned_s > PLAN_EVERY_S and not self.running
         if self._planning or not self.bench.connected or (text == self._planned_for and not old):
             return
-        self._planning, self._planned_for, self._planned_s = True, text, self._clock.now()
+        self._planning, self._planned_for, self._planned_s = True, text, self.clock.now()
         self.bench.ask(requests.PlanRun(recipe=text, name="the form"), "plan", self._plan_made, quiet=True)
 
     def _plan_made(self, answer: replies.AnyReply | StereotomeError) -> None:
@@ -226,7 +234,7 @@ class Console:
 
     def release_stop(self) -> None:
         """Allow motion again: an act of its own."""
-        self.bench.stop_asked = False
+        self.bench.stop_asked, self.notice = False, ""
         self.bench.ask(requests.ClearStop(), "STOP")
 
     # The stage
@@ -238,7 +246,7 @@ class Console:
     def go(self, z_um: float) -> None:
         """Go to a position."""
         if words := self.why_no_motion():
-            self._refuse(f"{words}. Nothing moved.")
+            self.refuse(f"{words}. Nothing moved.")
         else:
             self.jogger.under_way = True
             self._move(requests.MoveStage(z_um=z_um))
@@ -274,151 +282,16 @@ class Console:
         if isinstance(answer, StereotomeError):
             self.jogger.forget()
             self.stick.block()
-            self.notice = words_of(answer)
+            self.notice = "STOP ended this move." if self.stopped else words_of(answer)
 
-    def _refuse(self, words: str) -> None:
+    def refuse(self, words: str) -> None:
+        """Say beside the stage what is not done, and why."""
         self.notice = words[0].upper() + words[1:]
-
-    # The camera
-
-    def live(self) -> None:
-        """Show frames as they come, or no more."""
-        shown = self.state is not None and self.state.live
-        self.bench.ask(requests.StopLive() if shown else requests.StartLive(frames_per_s=LIVE_HZ), "camera")
-
-    def snap(self) -> None:
-        """Take one frame and keep it; while frames come anyway, keep the newest."""
-        coming = self.running or (self.state is not None and self.state.live)
-        if coming and self.eyes.seen is not None and not self.eyes.afar:
-            self._keep(self.eyes.seen)
-        else:
-            self.bench.ask(requests.Snap(), "camera", self._snapped)
-
-    def set_exposure(self, exposure_ms: float) -> None:
-        """Expose for so long from now on."""
-        self.bench.ask(requests.SetCamera(exposure_ms=exposure_ms), "camera")
-
-    def set_roi(self, roi: Roi | None) -> None:
-        """Deliver this part of the frame, x, y, width, height in pixels of the whole; None for all of it."""
-        state, whole = self.state, self._whole
-        if words := self.why_no_motion():
-            self._refuse(f"{words}. The frame is as it was.")
-        elif state is not None and whole is not None:
-            self.roi, self.placing = roi, Placing()
-            self.bench.ask(requests.SetCamera(exposure_ms=state.exposure_ms, roi=roi or (0, 0, *whole)), "camera")
-
-    def choose_part(self, corner: tuple[int, int], other: tuple[int, int]) -> None:
-        """Deliver the part between two pixels (column, row) of the frame that is shown, both included."""
-        seen, whole = self.eyes.seen, self._whole
-        if seen is None or whole is None:
-            return
-        shown = seen.pixels.shape[1::-1]
-        known = (0, 0, *whole) if shown == whole else self.roi
-        if known is None or known[2:] != shown:
-            self._refuse("this is a part of the frame chosen elsewhere: W shows the whole, then choose.")
-        elif part := inside(known, corner, other):
-            self.set_roi(part)
-
-    @property
-    def _whole(self) -> tuple[int, int] | None:
-        """Width and height of the whole frame: as in the instrument file, or else the largest that was seen."""
-        rig, seen = self.bench.rig, self.eyes.seen
-        if rig is not None and rig.camera.size_px is not None:
-            return rig.camera.size_px
-        if seen is not None and (self._largest is None or seen.pixels.size > self._largest[0] * self._largest[1]):
-            self._largest = seen.pixels.shape[1::-1]
-        return self._largest
-
-    def record(self) -> None:
-        """Begin to keep frames as they come, or end and write them as a clip."""
-        if self.eyes.kept is None:
-            if self.eyes.afar:
-                self.journal.add("error", "camera", "no clip from afar: only previews come over the network.")
-            else:
-                self.eyes.keep()
-            return
-        kept = self.eyes.keep_no_more()
-        if kept:
-            self._written(lambda: write_clip(Path(self.settings.snapshots), kept, self._about()))
 
     def auto_contrast(self) -> None:
         """Fit the contrast to the newest frame, once."""
         if self.eyes.seen is not None:
             self.contrast = replace(grey.fitted(self.contrast, self.eyes.seen.histogram), auto="off")
-
-    def _snapped(self, answer: replies.AnyReply | StereotomeError) -> None:
-        if isinstance(answer, replies.Picture) and self.eyes.seen is not None:
-            self._keep(self.eyes.of_picture(answer))
-
-    def _keep(self, seen: Seen) -> None:
-        self._written(lambda: write_snapshot(Path(self.settings.snapshots), seen, self._about()))
-
-    def _written(self, write: Callable[[], Path]) -> None:
-        try:
-            self.journal.add("info", "camera", f"saved {write()}")
-        except (OSError, StereotomeError) as error:
-            self.journal.add("error", "camera", f"not saved: {error}")
-
-    def _about(self) -> dict[str, object]:
-        """Return what a picture is kept with."""
-        rig = self.bench.rig
-        return {
-            "instrument": "" if rig is None else rig.name,
-            "pixel_um": None if rig is None else rig.object_pixel_um,
-            "operator": self.form.operator or self.bench.actor,
-            "notes": self.form.notes,
-        }
-
-    # Feed and knife, by hand
-
-    @property
-    def feed(self) -> replies.FeedView | None:
-        """Feed and knife as read last; None without them."""
-        return None if self.state is None else self.state.feed
-
-    def approach(self, depth_um: float) -> None:
-        """Bring the block near the knife."""
-        self._by_hand(requests.ApproachSection(depth_um=depth_um))
-
-    def home_feed(self) -> None:
-        """Let the feed search its reference."""
-        self._by_hand(requests.HomeFeed())
-
-    def retract_knife(self) -> None:
-        """Bring the knife out."""
-        self._by_hand(requests.RetractKnife())
-
-    def feed_once(self) -> None:
-        """Feed by one section of the form's thickness."""
-        if self.feed is not None:
-            thickness_nm = self.form.sections.thickness_nm
-            self._by_hand(requests.FeedSection(thickness_nm=thickness_nm, expect_section=self.feed.cuts))
-
-    def arm_knife(self) -> None:
-        """Allow one cut within the next seconds."""
-        self.armed_s = self._clock.now()
-        self._by_hand(requests.ArmKnife())
-
-    def cut_once(self) -> None:
-        """Take one section with the armed knife."""
-        if self.feed is not None:
-            self.armed_s = float("-inf")
-            self._by_hand(requests.CutSection(expect_section=self.feed.cuts))
-
-    @property
-    def armed_left_s(self) -> float:
-        """How long the knife stays armed."""
-        return max(0.0, self.armed_s + ARMED_FOR_S - self._clock.now())
-
-    def _by_hand(self, request: requests.AnyRequest) -> None:
-        self.feed_notice = ""
-        self.bench.ask(request, "feed", self._fed)
-
-    def _fed(self, answer: replies.AnyReply | StereotomeError) -> None:
-        if isinstance(answer, StereotomeError):
-            self.feed_notice = words_of(answer)
-        elif isinstance(answer, replies.Depth):
-            self.journal.add("info", "feed", f"at {answer.depth_nm / 1000:.3f} µm, {answer.cuts} strokes counted")
 
     # Runs
 
@@ -428,6 +301,7 @@ class Console:
         if words := self.why_no_start():
             self.journal.add("error", "run", f"not started: {words}")
             return
+        self.notice = ""
         self.bench.ask(requests.StartRun(recipe=self.form.recipe(), name="the form"), "run")
 
     def queue_run(self) -> None:
@@ -472,6 +346,39 @@ class Console:
         """Whether the last run ended with planes missing, and no run is under way."""
         run = self.run
         return run is not None and not self.running and run.state in FINAL and run.durable < run.planned
+
+    # Looking
+
+    @property
+    def last_run(self) -> str:
+        """Folder of the last run, once it is over; empty before."""
+        return self.run.folder if self.run is not None and not self.running else ""
+
+    def view(self, number: int) -> None:
+        """Bring a view to the front, 1 the live picture, the others of the run looked at, else of the last."""
+        view = VIEWS[number - 1]
+        self.front = LIVE if view == LIVE else REVIEW
+        if view != LIVE:
+            if not self.viewing.folder and self.last_run:
+                self.viewing.open(self.last_run)
+            self.viewing.kind(view)
+
+    def nearer(self, steps: float) -> None:
+        """Enlarge the picture in front around its middle."""
+        if self.shows == REVIEW:
+            self.viewing.nearer(steps)
+        else:
+            self.placing = enlarged(self.placing, steps)
+
+    def across(self) -> None:
+        """Draw a line through the middle of the picture in front, to measure along; again for none."""
+        if self.shows == REVIEW:
+            self.viewing.across()
+        elif self.line is not None or self.eyes.seen is None:
+            self.line = None
+        else:
+            height, width = self.eyes.seen.pixels.shape[:2]
+            self.line = ((0, height // 2), (width - 1, height // 2))
 
     def glasses_test(self) -> None:
         """Show each eye its name through the shutter glasses, or no more."""

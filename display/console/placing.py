@@ -58,6 +58,12 @@ def zoomed(
     return clipped(replace(placing, zoom=zoom, **_middle(at, fitting, scale, panel)))
 
 
+def enlarged(placing: Placing, steps: float) -> Placing:
+    """Return the placing enlarged by steps so that the middle stays there."""
+    zoom = min(max(placing.zoom * ZOOM_STEP**steps, ZOOMS[0]), ZOOMS[1])
+    return Placing() if zoom == ZOOMS[0] else replace(placing, zoom=zoom)
+
+
 def _middle(at: tuple[float, float], fitting: Fit, scale: float, panel: tuple[float, float]) -> dict[str, float]:
     width, height = fitting.picture
     column, row = (at[0] - fitting.left) / fitting.scale, (at[1] - fitting.top) / fitting.scale

@@ -42,12 +42,12 @@ if TYPE_CHECKING:
     from display.stereo import Mode
 
     Picture = NDArray[np.uint8]
-    Line = tuple[tuple[int, int], tuple[int, int]]
 
 FLAT = ("extended focus", "range", "relief")
 RESULTS = "focus"
 PAGE_FLIP: Mode = "page-flip"
 MOVIE_HZ = 25.0
+Line = tuple[tuple[int, int], tuple[int, int]]
 RELIEF_VIEW = (25.0, -50.0)
 
 

@@ -91,7 +91,7 @@ class Tour:
         if over and not self.lively:
             self.lively = True
             if console.state is not None and not console.state.live:
-                console.live()
+                console.camera.live()
 
     def forward(self) -> None:
         """Show the next step; after the last the tour is over."""

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 from imgui_bundle import hello_imgui, imgui, immapp
 
 from acquire.words import took
-from devices.errors import DisplayError, StereotomeError
-from display.console.keys import BINDINGS, MOUSE
-from display.console.panels import camera, files, glasses, live, log, review, sections, session, setup, stack, stage
+from devices.errors import DisplayError
+from display.console.keys import BINDINGS
+from display.console.panels import camera, files, floating, glasses, live, log, review, sections, session, stack, stage
 from display.console.panels import widgets as w
 from display.console.review import Reviewer
 from display.console.thrift import FULL_HZ, Thrift
-from display.console.tour import STEPS
+from display.console.whole_screen import WholeScreen
 from display.gl.canvas import Canvas
 from display.gl.show import window_context
 
@@ -26,13 +26,19 @@ if TYPE_CHECKING:
 
     from display.console.keys import Binding
     from display.console.model import Console
-    from display.console.tour import Tour
 
 logger = logging.getLogger(__name__)
 TITLE = "Stereotome"
 SIZE = (1280, 720)
 IDLE_HZ = 1.0  # an event, or news from the instrument, is drawn at once
 LAYOUT = "console-3"
+SOLID = (
+    imgui.Col_.window_bg,
+    imgui.Col_.popup_bg,
+    imgui.Col_.title_bg,
+    imgui.Col_.title_bg_active,
+    imgui.Col_.title_bg_collapsed,
+)
 
 
 class ConsoleWindow:
@@ -53,6 +59,7 @@ class ConsoleWindow:
         self._failed: set[str] = set()
         self._idles = False
         self._thrift = Thrift(time.process_time)
+        self._screen = WholeScreen()
         self._chords = [_chord(binding) for binding in BINDINGS if binding.key != "escape"]
         self._reviewer = Reviewer(console.journal, console.flipping)
         self._draws: dict[str, Callable[[Console], None]] = {
@@ -123,6 +130,7 @@ class ConsoleWindow:
     def _callbacks(self, callbacks: hello_imgui.RunnerCallbacks) -> None:
         callbacks.post_init = self._attach
         callbacks.setup_imgui_config = _configure
+        callbacks.setup_imgui_style = _opaque
         callbacks.show_menus = partial(self.guarded, "menu", self._menu)
         callbacks.show_status = partial(self.guarded, "status", self._status)
         callbacks.show_gui = partial(self.guarded, "console", self._every_frame)
@@ -189,18 +197,11 @@ class ConsoleWindow:
         thrifty_hz = self._thrift.rate_hz()
         busy_hz = thrifty_hz if console.running else FULL_HZ
         self.params.fps_idling.fps_idle = busy_hz if console_busy else IDLE_HZ
-        if console.reviewing:
-            self._review(console)
-        if console.running and console.run is not None and console.run.question is not None:
-            sections.ask(console, console.run.question)
-        if console.setup is not None and not console.setup.done:
-            setup.draw(console.setup)
-        if console.tour is not None and console.tour.shown:
-            _tour(console.tour)
-        if console.shows_alarms and console.alarms.unseen:
-            _alarms(console)
-        if console.shows_keys:
-            _key_list(console)
+        if console.front:
+            _to_the_front(console.front)
+            console.front = ""
+        self._screen.follow(wanted=console.full_screen)
+        floating.draw(console)
 
     def _keys(self, console: Console) -> None:
         """Take keys; STOP is read raw, since a routed key is kept by a field that is being edited."""
@@ -243,30 +244,19 @@ class ConsoleWindow:
         elif imgui.small_button(f"{holder or 'nobody'} commands: take it when free"):
             bench.take_command()
 
-    def _review(self, console: Console) -> None:
-        """Draw what is about to be started; not modal, so that STOP stays within reach."""
-        imgui.set_next_window_size(w.em(30, 0), imgui.Cond_.appearing)
-        imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing, imgui.ImVec2(0.5, 0.5))
-        _, opened = imgui.begin("Review before the start", True)  # noqa: FBT003  the library's
-        console.reviewing = bool(opened)
-        for line in review_words(console):
-            w.words(line)
-        why_not = console.why_no_start()
-        if w.button("Start now", why_not):
-            console.start_run()
-        imgui.same_line()
-        if imgui.button("Back"):
-            console.reviewing = False
-        if why_not:
-            w.words(f"! {why_not}", w.ORANGE)
-        imgui.end()
-
 
 def _chord(binding: Binding) -> tuple[int, int, Callable[[Console], None]]:
     """Return a key as the library takes it, how it is listened for, and what it does."""
     chord = int(getattr(imgui.Key, binding.key)) | (int(imgui.Key.mod_ctrl) if binding.ctrl else 0)
     flags = int(imgui.InputFlags_.route_global) | (int(imgui.InputFlags_.repeat) if binding.repeats else 0)
     return chord, flags, binding.do
+
+
+def _to_the_front(panel: str) -> None:
+    """Show a panel, and frame its first field, so that Tab has where to go on from."""
+    imgui.set_window_focus(panel)
+    imgui.internal.nav_init_window(imgui.internal.find_window_by_name(panel), True)  # noqa: FBT003  the library's
+    imgui.set_nav_cursor_visible(True)
 
 
 def not_opened(said: str) -> DisplayError:
@@ -289,24 +279,6 @@ def not_opened(said: str) -> DisplayError:
     )
 
 
-def review_words(console: Console) -> list[str]:
-    """Return everything that matters before a start, a line for each."""
-    form, planned, state = console.form, console.planned, console.state
-    lines = [f"name: {form.name}    operator: {form.operator or console.bench.actor}"]
-    if planned is not None and not isinstance(planned, StereotomeError):
-        lines += [
-            f"from {planned.first_um:+.2f} to {planned.last_um:+.2f} µm, {form.direction}, then to {form.return_to}",
-            *stack.cost_words(planned),
-            f"data: {planned.folder}",
-        ]
-    if state is not None:
-        lines.append(f"camera: {state.camera}, {form.exposure_ms or state.exposure_ms:g} ms")
-    if form.sections.wanted:
-        sections = form.sections
-        lines.append(f"CUTS {sections.count} sections of {sections.thickness_nm:g} nm: this cannot be undone")
-    return [*lines, f"notes: {form.notes or '-'}"]
-
-
 def _progress(console: Console, run: Any) -> None:
     left = "" if run.left_s is None else f" · {took(run.left_s)} left"
     section = f"section {run.section + 1}/{run.sections} · " if run.sections > 1 else ""
@@ -321,52 +293,19 @@ def _progress(console: Console, run: Any) -> None:
         console.pause()
 
 
-def _tour(tour: Tour) -> None:
-    """Draw a step of the demonstration, low in the middle, not in the way of anything."""
-    screen = imgui.get_main_viewport().size
-    imgui.set_next_window_pos(imgui.ImVec2(0.5 * screen.x, 0.7 * screen.y), imgui.Cond_.appearing, imgui.ImVec2(0.5, 0))
-    imgui.set_next_window_size(w.em(30, 0), imgui.Cond_.appearing)
-    _, opened = imgui.begin("Tour", True)  # noqa: FBT003  the library's
-    title, words = STEPS[tour.step]
-    imgui.text_colored(w.BLUE, f"{tour.step + 1}/{len(STEPS)}  {title}")
-    w.words(words)
-    if imgui.button("Next" if tour.step + 1 < len(STEPS) else "Close"):
-        tour.forward()
-    tour.shown = tour.shown and bool(opened)
-    imgui.end()
-
-
-def _alarms(console: Console) -> None:
-    imgui.set_next_window_size(w.em(34, 0), imgui.Cond_.appearing)
-    screen = imgui.get_main_viewport().size  # beside the position of the stage, above what a run asks
-    imgui.set_next_window_pos(imgui.ImVec2(0.27 * screen.x, w.em(5).x), imgui.Cond_.appearing)
-    _, opened = imgui.begin("Alarms", True)  # noqa: FBT003  the library's
-    console.shows_alarms = bool(opened)
-    for line in console.alarms.unseen:
-        w.words(f"! {line}", w.ORANGE)
-    if w.button("Seen", "", "F2"):
-        console.alarms_seen()
-    imgui.end()
-
-
-def _key_list(console: Console) -> None:
-    imgui.set_next_window_size(w.em(32, 0), imgui.Cond_.appearing)
-    _, opened = imgui.begin("Keys", True)  # noqa: FBT003  the library's
-    console.shows_keys = bool(opened)
-    if imgui.begin_table("keys", 2):
-        for shown, words in (*((binding.shown, binding.words) for binding in BINDINGS), *MOUSE):
-            imgui.table_next_column()
-            imgui.text(shown)
-            imgui.table_next_column()
-            imgui.text(words)
-        imgui.end_table()
-    imgui.end()
-
-
 def _configure() -> None:
     """Let an unfinished panel be mended instead of ending the program; pads do not click on widgets."""
     hello_imgui.imgui_default_settings.setup_default_imgui_config()
     io = imgui.get_io()
     io.config_error_recovery_enable_assert = False
     io.config_error_recovery_enable_tooltip = False
+    io.config_flags |= imgui.ConfigFlags_.nav_enable_keyboard
     io.config_flags &= ~imgui.ConfigFlags_.nav_enable_gamepad
+
+
+def _opaque() -> None:
+    """Let nothing shine through what floats: words over a picture could not be read."""
+    style = imgui.get_style()
+    for which in SOLID:
+        colour = style.color_(which)
+        style.set_color_(which, imgui.ImVec4(colour.x, colour.y, colour.z, 1.0))

@@ -97,5 +97,5 @@ def make_small(folder):
     """Leave as many colours in the pictures as they need."""
     for path in folder.glob("console*.png"):
         with Image.open(path) as picture:
-            small = picture.convert("RGB").quantize(255)
+            small = picture.convert("RGB").quantize(255, Image.Quantize.MAXCOVERAGE)
         small.save(path, optimize=True)

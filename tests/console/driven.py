@@ -3,13 +3,13 @@
 import os
 import signal
 import tomllib
-from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 from hand import KEY
 from imgui_bundle import imgui
 
+from display.console.keys import PANELS
 from display.console.sticks import Scripted
 from display.console.tour import Tour
 
@@ -100,9 +100,9 @@ def part_of_the_frame(hand):
     ctx.key_down(KEY.mod_ctrl)
     ctx.mouse_drag_with_delta(imgui.ImVec2(40, 30))
     ctx.key_up(KEY.mod_ctrl)
-    hand.wait(lambda: console.eyes.seen.pixels.shape == console.roi[:1:-1])
-    assert console.roi[0] in range(width // 2 - 2, width // 2 + 2)
-    assert console.roi[2] < width / 2
+    hand.wait(lambda: console.eyes.seen.pixels.shape == console.camera.roi[:1:-1])
+    assert console.camera.roi[0] in range(width // 2 - 2, width // 2 + 2)
+    assert console.camera.roi[2] < width / 2
     hand.key(KEY.w)
     hand.wait(lambda: console.eyes.seen.pixels.shape == (height, width))
 
@@ -195,7 +195,7 @@ def crash(hand):
     hand.wait(lambda: console.run.taken > 5)
     os.kill(console.flipping.pid, signal.SIGKILL)
     hand.wait(lambda: any("without a word" in line.words for line in console.journal.lines("error")))
-    hand.wait(lambda: hand.window.review.shown.stereo.mode == "mono")
+    hand.wait(lambda: console.viewing.shown.stereo.mode == "mono")
     assert console.running
     os.kill(os.getpid(), signal.SIGKILL)
 
@@ -250,6 +250,7 @@ def sections(hand):
     hand.wait_state("COMPLETED")
     hand.wait(lambda: not console.running)
     reviews(hand)
+    by_keys(hand)
     stops_sections(hand)
 
 
@@ -257,16 +258,45 @@ def reviews(hand):
     """Look at the last run in three kinds of picture and two of stereo."""
     hand.ctx.window_focus("//Review")
     hand.click("//Review/Last run")
-    panel = hand.window.review
+    viewing, reviewer = hand.console.viewing, hand.window.review.reviewer
     for mode, stereo in (("slice", "mono"), ("orthogonal", "anaglyph-grey"), ("mip", "parallel")):
-        panel.shown = replace(panel.shown, mode=mode, stereo=replace(panel.shown.stereo, mode=stereo))
-        hand.wait(lambda: (panel.reviewer.drawn is not None and not panel.reviewer.busy) or panel.reviewer.problem)
-        assert not panel.reviewer.problem
-        assert panel.reviewer.drawn.picture.std() > 5
+        viewing.kind(mode)
+        viewing.eyes(mode=stereo)
+        hand.wait(lambda: reviewer.problem or (reviewer.drawn and reviewer.drawn.wish.shown == viewing.shown))
+        assert not reviewer.problem
+        assert reviewer.drawn.picture.std() > 5
         hand.shot(f"console_review_{mode}")
-    panel.frames = 8
+    viewing.frames = 8
     hand.click("//Review/Movie")
-    hand.wait(lambda: list(Path("snapshots").glob("*.mp4")) and not panel.reviewer.filming)
+    hand.wait(lambda: list(Path("snapshots").glob("*.mp4")) and not reviewer.filming)
+
+
+def by_keys(hand):
+    """Reach every field of every panel by Tab, the views and the whole screen by their keys."""
+    console = hand.console
+    for number, panel in enumerate(PANELS, start=1):
+        hand.key(getattr(KEY, f"_{number}") | KEY.mod_ctrl)
+        hand.ctx.yield_(2)
+        assert not hand.fields(panel) - hand.tabbed(), panel
+    hand.key(KEY._1)
+    hand.wait(lambda: console.shows == "Live")
+    hand.key(KEY._5)
+    hand.wait(lambda: console.shows == "Review")
+    before, swap, angle_deg = console.viewing.shown.mode, *eyes(console)
+    hand.key(KEY.x)
+    hand.key(KEY.period)
+    assert (before, *eyes(console)) == ("orthogonal", not swap, angle_deg + 0.5)
+    hand.key(KEY.x)
+    hand.key(KEY.comma)
+    assert eyes(console) == (swap, angle_deg)
+    size = tuple(imgui.get_io().display_size)
+    for wanted in ((2560, 1440), size):
+        hand.key(KEY.f11)
+        hand.wait(lambda wanted=wanted: tuple(imgui.get_io().display_size) == wanted)
+
+
+def eyes(console):
+    return console.viewing.shown.stereo.swap, console.viewing.shown.stereo.vergence_deg
 
 
 def stops_sections(hand):

@@ -11,7 +11,7 @@ from pathlib import Path
 from imgui_bundle import imgui
 from imgui_bundle.immapp import testing
 
-from display.console import model
+from display.console import camera_work
 from display.console.app import opened
 from display.console.instrument import Served
 from display.console.setup import Later
@@ -78,6 +78,24 @@ class Hand:
         """Press a key."""
         self.ctx.key_press(chord)
 
+    def fields(self, panel):
+        """Return all of a panel that can be pressed or filled in now, but for curves and what fields do as well."""
+        items = imgui.test_engine.TestItemList()
+        self.ctx.gather_items(items, f"//{panel}", -1)
+        off = int(imgui.ItemFlags_.disabled | imgui.ItemFlags_.no_nav)
+        every = (items.get_by_index(k) for k in range(items.get_size()))
+        return {item.id_ for item in every if not item.item_flags & off}
+
+    def tabbed(self):
+        """Return where Tab leads, once round."""
+        met = []
+        while len(met) < 2 or met[-1] not in met[:-1]:
+            self.key(KEY.tab)
+            self.ctx.yield_()
+            met.append(imgui.get_current_context().nav_id)
+            assert len(met) < 100
+        return set(met)
+
     def start(self, shot=""):
         """Start what the form says, once it is planned."""
         before = 0 if self.console.run is None else self.console.run.number
@@ -112,7 +130,7 @@ def main(function, connection, folder, scale):
         served = Later() if connection == "later" else Served(Path(connection))
         stack.callback(served.end)
         console = opened(served, stack)
-        model.LIVE_HZ = LIVE_HZ
+        camera_work.LIVE_HZ = LIVE_HZ
         console.form.folder = f"{os.environ.get('STEREOTOME_RUNS', Path.cwd())}/run-{{run}}"
         window = ConsoleWindow(console, scale=float(scale), remembers=False)
 

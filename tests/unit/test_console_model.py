@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from acquire import replies, requests
 from acquire.recipe import recipe_from_text
-from devices.errors import LimitError, StereotomeError
+from devices.errors import LimitError, StageStalled, StereotomeError
 from display.console import alarms
 from display.console import contrast as grey
 from display.console import placing as p
 from display.console import settings as remembered
-from display.console.eyes import look
+from display.console.eyes import histogram_of, look
 from display.console.files import FileEditor
 from display.console.journal import Journal, event_words
 from display.console.keys import BINDINGS
@@ -117,7 +117,7 @@ def test_overlap_is_that_of_depths_of_field():
 
 
 def test_no_unmodified_letter_moves_hardware():
-    moving = ("stage", "go to", "start")
+    moving = ("stage", "go to ", "start")
     for binding in BINDINGS:
         if len(binding.shown) == 1 and binding.shown.isalpha():
             assert not any(word in binding.words for word in moving), binding
@@ -455,14 +455,48 @@ def test_a_part_is_chosen_in_the_whole_frame_and_then_within_the_part(console):
     width, height = console.bench.rig.camera.size_px
     console.eyes = FakeEyes()
     console.eyes.seen = look(1, np.zeros((height, width), np.uint16), None, 4095)
-    console.choose_part((100, 60), (219, 139))
+    console.camera.choose_part((100, 60), (219, 139))
     assert console.bench.asked[-1][0].roi == (100, 60, 120, 80)
     console.eyes.seen = look(2, np.zeros((80, 120), np.uint16), None, 4095)
-    console.choose_part((39, 29), (10, 10))
+    console.camera.choose_part((39, 29), (10, 10))
     assert console.bench.asked[-1][0].roi == (110, 70, 30, 20)
     asked = len(console.bench.asked)
     console.eyes.seen = look(3, np.zeros((33, 44), np.uint16), None, 4095)  # chosen by somebody else
-    console.choose_part((0, 0), (20, 20))
+    console.camera.choose_part((0, 0), (20, 20))
     assert (len(console.bench.asked), "elsewhere" in console.notice) == (asked, True)
-    console.set_roi(None)
+    console.camera.set_roi(None)
     assert console.bench.asked[-1][0].roi == (0, 0, width, height)
+
+
+@pytest.mark.parametrize("top", [255, 4095, 65535])
+def test_a_frame_of_one_level_is_white_only_at_full_scale(top):
+    for level, shown in ((top, 1.0), (0, 0.0)):
+        low, high = grey.spread(histogram_of(np.full((8, 8), level, np.uint16), top), 0.1)
+        assert np.clip((level - low) / (high - low), 0, 1) == pytest.approx(shown, abs=0.01)
+    assert grey.spread(grey.Histogram(np.eye(1, 256, 128, dtype=np.int64)[0], 255), 0.0) == (127, 129)
+
+
+def test_keys_choose_views_of_the_last_run_and_how_eyes_see_them(console):
+    told(console, run=run_view(1, "COMPLETED"))
+    keys = {binding.shown: binding.do for binding in BINDINGS}
+    keys["3"](console)
+    assert (console.front, console.viewing.folder, console.viewing.shown.mode) == ("Review", "/d", "range")
+    keys["X"](console)
+    assert console.viewing.shown.stereo.swap
+    keys["1"](console)
+    assert console.front == "Live"
+    console.shows, console.viewing.size = "Review", (400, 300)
+    keys["L"](console)
+    assert console.viewing.line == ((0, 150), (399, 150))
+    keys["4"](console)
+    assert console.viewing.line is None
+
+
+def test_a_move_that_stop_ended_is_told_so_and_no_longer_after_the_release(console):
+    console.go(5.0)
+    _, answered = console.bench.asked[-1]
+    console.stop()
+    answered(StageStalled("z stage: the move was halted; it is at +5 of +5."))
+    assert console.notice == "STOP ended this move."
+    console.release_stop()
+    assert not console.notice

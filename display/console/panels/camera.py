@@ -42,27 +42,41 @@ def _frames(console: Console) -> None:
     live = state is not None and state.live
     why_not = console.why_no_motion()
     if w.button("Stop live" if live else "Live", why_not, "Space"):
-        console.live()
+        console.camera.live()
     imgui.same_line()
     if w.button("Snap", "" if live or console.running else why_not, "S: one frame, kept as a file"):
-        console.snap()
+        console.camera.snap()
     imgui.same_line()
     kept = console.eyes.kept
     if w.button("Clip" if kept is None else f"End clip ({len(kept)})", "", "keep frames as they come, as a file"):
-        console.record()
+        console.camera.record()
     exposure_ms = state.exposure_ms if state is not None else 0.0
-    if console.exposure_ms is None:
-        console.exposure_ms = exposure_ms
-    entered, console.exposure_ms = w.number("ms exposure", console.exposure_ms, 5, "%.1f")
-    if entered and console.exposure_ms > 0:
-        console.set_exposure(console.exposure_ms)
+    if console.camera.exposure_ms is None:
+        console.camera.exposure_ms = exposure_ms
+    entered, console.camera.exposure_ms = w.number("ms exposure", console.camera.exposure_ms, 5, "%.1f")
+    if entered and console.camera.exposure_ms > 0:
+        console.camera.set_exposure(console.camera.exposure_ms)
     elif not imgui.is_item_active():
-        console.exposure_ms = exposure_ms
+        console.camera.exposure_ms = exposure_ms
     imgui.same_line()
     if w.button(
         "Whole frame", why_not, "W: deliver all of the frame again; Ctrl and drag in the picture chooses a part"
     ):
-        console.set_roi(None)
+        console.camera.set_roi(None)
+    _part(console, why_not)
+
+
+def _part(console: Console, why_not: str) -> None:
+    """Draw the part of the frame the camera delivers, to be typed."""
+    if imgui.tree_node("part of the frame"):
+        camera = console.camera
+        imgui.set_next_item_width(w.em(11).x)
+        x, y, width, height = imgui.input_int4("x y w h", list(camera.typed))[1]
+        camera.typed = (x, y, width, height)
+        imgui.same_line()
+        if w.button("Take##part", why_not or ("" if min(width, height) > 0 else "it has no size")):
+            camera.set_roi(camera.typed)
+        imgui.tree_pop()
 
 
 def _histogram(console: Console, seen: Seen) -> None:
@@ -101,7 +115,7 @@ def _contrast(console: Console) -> None:
     imgui.same_line()
     _, ignored = w.number("% ignored", contrast.ignored_percent, 4)
     console.contrast = replace(console.contrast, ignored_percent=min(max(ignored, 0.0), 20.0))
-    imgui.text(f"{console.contrast.low:.0f} … {console.contrast.high:.0f} of {console.top}")
+    _levels(console)
     imgui.set_next_item_width(w.em(6).x)
     _, gamma = imgui.slider_float("gamma", contrast.gamma, *grey.GAMMAS, "%.2f", imgui.SliderFlags_.logarithmic)
     console.contrast = grey.with_gamma(console.contrast, gamma)
@@ -111,6 +125,16 @@ def _contrast(console: Console) -> None:
     imgui.same_line()
     _, console.settings.crosshair = imgui.checkbox("cross", console.settings.crosshair)
     console.contrast = replace(console.contrast, table=table, paint=paint)
+
+
+def _levels(console: Console) -> None:
+    """Draw the two ends of the contrast, to be typed."""
+    for end in ENDS:
+        typed, level = w.number(f"{end}##level", getattr(console.contrast, end), 4, "%.0f")
+        if typed:
+            console.contrast = grey.dragged(console.contrast, end, level, console.top)
+        imgui.same_line()
+    imgui.text(f"of {console.top}")
 
 
 def _ends(seen: Seen) -> None:

@@ -10,6 +10,7 @@ from imgui_bundle import imgui
 from display.console import placing
 from display.console.contrast import colours
 from display.console.panels import widgets as w
+from display.console.viewing import LIVE
 from display.gl.live_picture import LivePicture
 
 if TYPE_CHECKING:
@@ -18,10 +19,7 @@ if TYPE_CHECKING:
     from display.console.placing import Fit
     from display.gl.canvas import Canvas
 
-WHITE = 0xFFFFFFFF
 BLACK = 0xFF000000
-SHADE = 0xA0000000
-YELLOW = 0xFF30D0FF
 LINE_EM = 5.0
 Line = tuple[tuple[int, int], tuple[int, int]]
 
@@ -31,12 +29,12 @@ class LivePanel:
 
     def __init__(self, canvas: Canvas) -> None:
         self._picture = LivePicture(canvas)
-        self._line: Line | None = None
         self._from: tuple[int, int] | None = None
         self._part: Line | None = None
 
     def draw(self, console: Console) -> None:
         """Draw the panel."""
+        console.shows = LIVE
         seen = console.eyes.seen
         room = imgui.get_content_region_avail()
         if seen is None or room.x < 8 or room.y < 8:
@@ -79,12 +77,12 @@ class LivePanel:
         if imgui.is_mouse_clicked(imgui.MouseButton_.left):
             self._part = (pixel, pixel) if io.key_ctrl and pixel is not None else None
             self._from = pixel if io.key_shift else None
-            self._line = None if io.key_shift else self._line
+            console.line = None if io.key_shift else console.line
         if self._part is not None:
             self._choose(console, pixel)
         elif imgui.is_mouse_dragging(imgui.MouseButton_.left):
             if self._from is not None and pixel is not None:
-                self._line = (self._from, pixel)
+                console.line = (self._from, pixel)
             elif self._from is None:
                 console.placing = placing.moved(console.placing, io.mouse_delta.x, io.mouse_delta.y, fit)
 
@@ -95,7 +93,7 @@ class LivePanel:
             self._part = (self._part[0], pixel)
         if imgui.is_mouse_released(imgui.MouseButton_.left):
             part, self._part = self._part, None
-            console.choose_part(*part)
+            console.camera.choose_part(*part)
 
     def _over(self, console: Console, seen: Seen, fit: Fit, at: imgui.ImVec2, panel: tuple[float, float]) -> None:
         """Draw what lies over the picture."""
@@ -106,8 +104,8 @@ class LivePanel:
         if console.settings.scale_bar:
             _scale_bar(console, lines, at, fit, panel)
         _value(console, seen, fit, lines, at)
-        if self._line is not None:
-            _profile(seen, self._line, fit, lines, at, panel)
+        if console.line is not None:
+            _profile(seen, console.line, fit, lines, at, panel)
         if self._part is not None:
             _frame(lines, at, fit, self._part)
         lines.pop_clip_rect()
@@ -118,7 +116,7 @@ def _cross(lines: imgui.ImDrawList, at: imgui.ImVec2, fit: Fit) -> None:
     x, y = (a + b for a, b in zip((at.x, at.y), fit.place_of(width / 2, height / 2), strict=True))
     left, top = (a + b for a, b in zip((at.x, at.y), fit.place_of(0, 0), strict=True))
     right, bottom = (a + b for a, b in zip((at.x, at.y), fit.place_of(width, height), strict=True))
-    for colour, off in ((BLACK, 1), (YELLOW, 0)):
+    for colour, off in ((BLACK, 1), (w.YELLOW, 0)):
         lines.add_line(imgui.ImVec2(left, y + off), imgui.ImVec2(right, y + off), colour)
         lines.add_line(imgui.ImVec2(x + off, top), imgui.ImVec2(x + off, bottom), colour)
 
@@ -129,8 +127,8 @@ def _frame(lines: imgui.ImDrawList, at: imgui.ImVec2, fit: Fit, part: Line) -> N
     left, right, top, bottom = min(x0, x1), max(x0, x1) + 1, min(y0, y1), max(y0, y1) + 1
     corners = [fit.place_of(left, top), fit.place_of(right, bottom)]
     (x, y), low = corners[0], corners[1]
-    lines.add_rect(imgui.ImVec2(at.x + x, at.y + y), imgui.ImVec2(at.x + low[0], at.y + low[1]), YELLOW, 0.0, 2.0)
-    _text(lines, at.x + x, at.y + y - w.em(1.4).x, f"{right - left} × {bottom - top}")
+    lines.add_rect(imgui.ImVec2(at.x + x, at.y + y), imgui.ImVec2(at.x + low[0], at.y + low[1]), w.YELLOW, 0.0, 2.0)
+    w.over_picture(lines, imgui.ImVec2(at.x + x, at.y + y - w.em(1.4).x), f"{right - left} × {bottom - top}")
 
 
 def _scale_bar(
@@ -144,8 +142,8 @@ def _scale_bar(
     x, y = at.x + w.em(1).x, at.y + panel[1] - w.em(1).x
     thick = w.em(0.25).x
     lines.add_rect_filled(imgui.ImVec2(x - 2, y - thick - 2), imgui.ImVec2(x + length + 2, y + 2), BLACK)
-    lines.add_rect_filled(imgui.ImVec2(x, y - thick), imgui.ImVec2(x + length, y), WHITE)
-    _text(lines, x, y - thick - w.em(1.4).x, f"{length_um:g} µm")
+    lines.add_rect_filled(imgui.ImVec2(x, y - thick), imgui.ImVec2(x + length, y), w.WHITE)
+    w.over_picture(lines, imgui.ImVec2(x, y - thick - w.em(1.4).x), f"{length_um:g} µm")
 
 
 def _value(console: Console, seen: Seen, fit: Fit, lines: imgui.ImDrawList, at: imgui.ImVec2) -> None:
@@ -161,7 +159,7 @@ def _value(console: Console, seen: Seen, fit: Fit, lines: imgui.ImDrawList, at: 
     pixel = fit.pixel_at(mouse.x - at.x, mouse.y - at.y) if imgui.is_window_hovered() else None
     if pixel is not None:
         parts.append(f"x {pixel[0]} y {pixel[1]}: {seen.pixels[pixel[1], pixel[0]]}")
-    _text(lines, at.x + w.em(0.5).x, at.y + w.em(0.3).x, "   ".join(parts))
+    w.over_picture(lines, imgui.ImVec2(at.x + w.em(0.5).x, at.y + w.em(0.3).x), "   ".join(parts))
 
 
 def _profile(
@@ -175,26 +173,19 @@ def _profile(
     """Draw the line and the grey levels along it."""
     (x0, y0), (x1, y1) = line
     ends = [imgui.ImVec2(at.x + x, at.y + y) for x, y in (fit.place_of(x0, y0), fit.place_of(x1, y1))]
-    lines.add_line(ends[0], ends[1], YELLOW, 2.0)
+    lines.add_line(ends[0], ends[1], w.YELLOW, 2.0)
     levels = along(seen.pixels, line)
     top, bottom = at.y + panel[1] - w.em(LINE_EM + 3).x, at.y + panel[1] - w.em(3).x
-    low, high = float(levels.min()), float(max(levels.max(), levels.min() + 1))
-    across = np.linspace(at.x + 4, at.x + panel[0] - 4, len(levels))
-    down = bottom - (levels - low) / (high - low) * (bottom - top)
-    lines.add_polyline([imgui.ImVec2(x, y) for x, y in zip(across, down, strict=True)], YELLOW, 1.5, 0)
-    _text(lines, at.x + w.em(0.5).x, top - w.em(1.4).x, f"grey levels {low:.0f} … {high:.0f} along {len(levels)} px")
+    w.curve(lines, levels, imgui.ImVec2(at.x + 4, top), imgui.ImVec2(at.x + panel[0] - 4, bottom))
+    words = f"grey levels {levels.min():.0f} … {levels.max():.0f} along {len(levels)} px"
+    w.over_picture(lines, imgui.ImVec2(at.x + w.em(0.5).x, top - w.em(1.4).x), words)
 
 
 def along(pixels: np.ndarray, line: Line) -> np.ndarray:
     """Return the grey levels along a line between two pixels (column, row), the nearest pixel at every step of one."""
-    (x0, y0), (x1, y1) = line
+    height, width = pixels.shape[:2]
+    (x0, y0), (x1, y1) = ((min(x, width - 1), min(y, height - 1)) for x, y in line)  # frames may shrink
     count = max(abs(x1 - x0), abs(y1 - y0)) + 1
     columns, rows = (np.rint(np.linspace(a, b, count)).astype(int) for a, b in ((x0, x1), (y0, y1)))
     levels: np.ndarray = pixels[rows, columns].astype(np.float64)
     return levels if levels.ndim == 1 else np.asarray(levels.mean(axis=1))
-
-
-def _text(lines: imgui.ImDrawList, x: float, y: float, text: str) -> None:
-    size = imgui.calc_text_size(text)
-    lines.add_rect_filled(imgui.ImVec2(x - 3, y - 1), imgui.ImVec2(x + size.x + 3, y + size.y + 1), SHADE)
-    lines.add_text(imgui.ImVec2(x, y), WHITE, text)

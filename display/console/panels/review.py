@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -13,74 +12,61 @@ from imgui_bundle import imgui
 from devices.errors import StereotomeError
 from display import controls
 from display.console.contrast import TABLES
-from display.console.flipping import REVIEW
+from display.console.flipping import REVIEW as SHOWN_REVIEW
 from display.console.panels import widgets as w
-from display.console.review import FLAT, PAGE_FLIP, RESULTS, Film, Reviewer, Wish, first_shown
+from display.console.review import FLAT, PAGE_FLIP, Film
+from display.console.viewing import REVIEW
 from display.controls import STEREOS
 from display.gl.live_picture import StillPicture
 from display.movie import SWEEPS
-from display.scene import Light
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from display.console.model import Console
-    from display.console.review import Drawn, Line
+    from display.console.review import Drawn, Reviewer
+    from display.console.viewing import Viewing
     from display.gl.canvas import Canvas
-    from display.movie import Sweep
     from display.stereo import Mode
 
-YELLOW = 0xFF30D0FF
-SHADE = 0xC0000000
-STILL_S = 0.3
 BUTTONS: tuple[tuple[imgui.MouseButton_, Literal["left", "right", "middle"]], ...] = (
     (imgui.MouseButton_.left, "left"),
     (imgui.MouseButton_.right, "right"),
     (imgui.MouseButton_.middle, "middle"),
 )
 OWN = "own colours"
-FRAMES = 120
 STEREO_KINDS: tuple[Mode, ...] = (STEREOS[0], PAGE_FLIP, *STEREOS[1:])
 
 
 class ReviewPanel:
-    """Holds what is shown; draws nothing itself but what the reviewer's thread made."""
+    """Shows what the reviewer's thread made of what `Viewing` says."""
 
     def __init__(self, canvas: Canvas, reviewer: Reviewer) -> None:
         self._picture = StillPicture(canvas)
         self.reviewer = reviewer
-        self.folder = ""
-        self.shown = first_shown()
-        self.colours = ""
-        self.points: list[tuple[float, float]] = []
-        self.threshold: float | None = None
-        self.light = (-35.0, 40.0)
-        self.line: Line | None = None
-        self._field = ""
-        self.sweep: Sweep = "rotation"
-        self.frames = FRAMES
 
     def draw(self, console: Console) -> None:
         """Draw the panel."""
+        viewing = console.viewing
+        console.shows = REVIEW
         self._source(console)
-        if not self.folder:
+        if not viewing.folder:
             w.words("Open the last run, or name a run's folder, a TIFF, a Zarr ...", w.GREY)
             return
-        self._kind(console)
-        if self.shown.mode not in FLAT:
-            self._depth()
+        _kind(console)
+        if viewing.shown.mode not in FLAT:
+            self._depth(viewing)
         self._show(console)
 
     def _source(self, console: Console) -> None:
-        run = console.run
-        if (
-            w.button("Last run", "" if run is not None and not console.running else "there is none yet")
-            and run is not None
-        ):
-            self._open(run.folder)
+        viewing = console.viewing
+        if w.button("Last run", "" if console.last_run else "there is none yet"):
+            viewing.open(console.last_run)
         imgui.same_line()
-        self._field = w.text_field("##folder", self._field, 14)
+        viewing.typed = w.text_field("##folder", viewing.typed, 14)
         imgui.same_line()
-        if w.button("Open", "" if self._field else "name a folder or a file"):
-            self._open(self._field)
+        if w.button("Open", "" if viewing.typed else "name a folder or a file"):
+            viewing.open(viewing.typed)
         imgui.same_line()
         if w.button("Save picture", "" if self.reviewer.drawn is not None else "there is no picture"):
             self._save(console)
@@ -88,30 +74,25 @@ class ReviewPanel:
 
     def _movie(self, console: Console) -> None:
         """Draw what makes a movie of what is shown."""
+        viewing = console.viewing
         drawn, filming = self.reviewer.drawn, self.reviewer.filming
         imgui.same_line()
         why_not = filming or ("" if drawn is not None else "there is no picture")
-        why_not = why_not or ("a flat picture stays as it is" if self.shown.mode in FLAT[:2] else "")
-        if w.button("Movie", why_not, f"{self.frames} pictures as MP4: {self.sweep}") and drawn is not None:
-            self.reviewer.film(Film(drawn.wish, self.sweep, self.frames, self._free(console, ".mp4")))
+        why_not = why_not or ("a flat picture stays as it is" if viewing.flat else "")
+        if w.button("Movie", why_not, f"{viewing.frames} pictures as MP4: {viewing.sweep}") and drawn is not None:
+            self.reviewer.film(Film(drawn.wish, viewing.sweep, viewing.frames, self._free(console, ".mp4")))
         imgui.same_line()
-        self.sweep = SWEEPS[SWEEPS.index(w.choice("##sweep", SWEEPS, self.sweep, 6))]  # type: ignore[assignment]
+        viewing.sweep = SWEEPS[SWEEPS.index(w.choice("##sweep", SWEEPS, viewing.sweep, 6))]  # type: ignore[assignment]
         if filming:
             w.words(filming, w.BLUE)
 
     def _free(self, console: Console, suffix: str) -> Path:
         """Return a file that does not exist, named after what is shown."""
-        folder = Path(console.settings.snapshots)
+        folder, viewing = Path(console.settings.snapshots), console.viewing
         folder.mkdir(parents=True, exist_ok=True)
-        name = f"{Path(self.folder).name}-{self.shown.mode.replace(' ', '-')}-{self.shown.stereo.mode}"
+        name = f"{Path(viewing.folder).name}-{viewing.shown.mode.replace(' ', '-')}-{viewing.shown.stereo.mode}"
         free = (folder / f"{name}{f'-{n}' if n else ''}{suffix}" for n in range(10_000))
         return next(path for path in free if not path.exists())
-
-    def _open(self, folder: str) -> None:
-        self.folder = self._field = folder
-        self.line, self.points, self.threshold = None, [], None
-        if self.shown.mode in FLAT and not (Path(folder) / RESULTS / "range.tif").exists():
-            self.shown = replace(self.shown, mode="orthogonal")
 
     def _save(self, console: Console) -> None:
         try:
@@ -119,76 +100,22 @@ class ReviewPanel:
         except OSError as error:
             console.journal.add("error", "review", f"not saved: {error}")
 
-    def _kind(self, console: Console) -> None:
-        shown = self.shown
-        mode = w.choice("##kind", shown.modes, shown.mode, 8)
-        imgui.same_line()
-        stereo = STEREO_KINDS[STEREO_KINDS.index(w.choice("##stereo", STEREO_KINDS, self._stereo(console), 9))]
-        self._flip(console, stereo)
-        imgui.same_line()
-        self.colours = w.choice("##colours", (OWN, *TABLES), self.colours or OWN, 7)
-        self.colours = "" if self.colours == OWN else self.colours
-        self.line = self.line if mode == shown.mode else None
-        self.shown = replace(shown, mode=mode, stereo=replace(shown.stereo, mode=stereo))
-        if stereo != "mono":
-            imgui.set_next_item_width(w.em(7).x)
-            _, angle = imgui.slider_float("° depth", shown.stereo.vergence_deg, 0.0, 20.0, "%.1f")
-            imgui.same_line()
-            _, swap = imgui.checkbox("swap eyes", shown.stereo.swap)
-            self.shown = replace(self.shown, stereo=replace(self.shown.stereo, vergence_deg=angle, swap=swap))
-        if mode not in FLAT[:2]:
-            imgui.set_next_item_width(w.em(10).x)
-            _, light = imgui.slider_float2("light", list(self.light), -90.0, 90.0, "%.0f°")
-            self.light = (light[0], light[1])
-
-    def _stereo(self, console: Console) -> Mode:
-        """Return how the eyes see it: no longer by glasses once these show something else, or nothing."""
-        mode = self.shown.stereo.mode
-        return "mono" if mode == PAGE_FLIP and console.flipping.shows != REVIEW else mode
-
-    def _flip(self, console: Console, stereo: Mode) -> None:
-        """Let the shutter glasses follow what was chosen."""
-        before = self.shown.stereo.mode
-        if stereo == PAGE_FLIP != before:
-            console.flipping.begin(REVIEW)
-        elif before == PAGE_FLIP != stereo and console.flipping.shows == REVIEW:
-            console.flipping.end()
-
-    def _depth(self) -> None:
+    def _depth(self, viewing: Viewing) -> None:
         """Draw what belongs to volumes: the plane in the middle, the threshold of a surface, opacities."""
-        self.shown = controls.grown(self.shown, self.reviewer.planes)
-        if self.shown.mode in controls.PLANES:
+        viewing.shown = controls.grown(viewing.shown, self.reviewer.planes)
+        if viewing.shown.mode in controls.PLANES:
             imgui.set_next_item_width(w.em(10).x)
-            _, plane = imgui.slider_int("plane", round(self.shown.plane), 0, max(self.shown.planes - 1, 0))
-            self.shown = replace(self.shown, plane=float(plane))
+            _, plane = imgui.slider_int("plane", round(viewing.shown.plane), 0, max(viewing.shown.planes - 1, 0))
+            viewing.plane(plane)
             return
         low, high = self.reviewer.limits
         imgui.set_next_item_width(w.em(10).x)
-        value = (low + high) / 2 if self.threshold is None else self.threshold
+        value = (low + high) / 2 if viewing.threshold is None else viewing.threshold
         changed, value = imgui.slider_float("threshold", value, low, high, "%.0f")
-        self.threshold = value if changed else self.threshold
+        viewing.threshold = value if changed else viewing.threshold
         if imgui.tree_node("opacity"):
-            self._opacity(low, high)
+            _opacity(viewing, low, high)
             imgui.tree_pop()
-
-    def _opacity(self, low: float, high: float) -> None:
-        """Draw the points of opacity against value; they stay in order."""
-        points = self.points or [(low, 0.0), (high, 0.1)]
-        for k, (value, opacity) in enumerate(points):
-            imgui.push_id(k)
-            imgui.set_next_item_width(w.em(12).x)
-            _, made = imgui.drag_float2("value, opacity", [value, opacity], 0.01, 0.0, high, "%.2f")
-            points[k] = (float(made[0]), min(max(float(made[1]), 0.0), 1.0))
-            imgui.pop_id()
-        if imgui.small_button("one more"):
-            points.append((high, points[-1][1]))
-        imgui.same_line()
-        if imgui.small_button("as usual"):
-            self.points = []
-            return
-        rising = sorted(points)
-        apart = all(b[0] > a[0] for a, b in pairwise(rising))
-        self.points = rising if apart and rising != [(low, 0.0), (high, 0.1)] else self.points
 
     def _show(self, console: Console) -> None:
         room = imgui.get_content_region_avail()
@@ -196,7 +123,7 @@ class ReviewPanel:
         if min(size) < 32:
             return
         at = imgui.get_cursor_screen_pos()
-        self.reviewer.wish(self._wish(size))
+        self.reviewer.wish(console.viewing.wish(size))
         drawn = self.reviewer.drawn
         if self.reviewer.problem or drawn is None:
             w.words(self.reviewer.problem or "reading ...", w.ORANGE if self.reviewer.problem else w.GREY)
@@ -206,49 +133,131 @@ class ReviewPanel:
         imgui.set_cursor_screen_pos(at)
         imgui.invisible_button("drawn", room)
         if imgui.is_item_hovered() or imgui.is_item_active():
-            self._hands(drawn, (at.x, at.y))
-        self._measured(console, drawn, (at.x, at.y))
+            _hands(console.viewing, drawn, (at.x, at.y))
+        _measured(console, drawn, (at.x, at.y))
+        if self.reviewer.busy:
+            lines = imgui.get_window_draw_list()
+            w.over_picture(lines, imgui.ImVec2(at.x + w.em(0.5).x, at.y + room.y - w.em(1.6).x), "drawing ...")
 
-    def _wish(self, size: tuple[int, int]) -> Wish:
-        light = Light(azimuth_deg=self.light[0], elevation_deg=self.light[1])
-        return Wish(self.folder, self.shown, size, self.colours, tuple(self.points), self.threshold, light)
 
-    def _hands(self, drawn: Drawn, at: tuple[float, float]) -> None:
-        """Let the mouse turn, move and enlarge; in flat pictures the left button draws a line."""
-        io = imgui.get_io()
-        if io.mouse_wheel:
-            self.shown = controls.wheel(self.shown, io.mouse_wheel)
-        place = (int(io.mouse_pos.x - at[0]), int(io.mouse_pos.y - at[1]))
-        if self.shown.mode in FLAT[:2] and imgui.is_mouse_down(imgui.MouseButton_.left):
-            start = place if imgui.is_mouse_clicked(imgui.MouseButton_.left) or self.line is None else self.line[0]
-            self.line = (start, place)
-            return
-        for which, name in BUTTONS:
-            if imgui.is_mouse_dragging(which):
-                self.shown = controls.drag(self.shown, io.mouse_delta.x, io.mouse_delta.y, name, drawn.pixel_um)
+def _hands(viewing: Viewing, drawn: Drawn, at: tuple[float, float]) -> None:
+    """Let the mouse turn, move and enlarge; in flat pictures the left button draws a line."""
+    io = imgui.get_io()
+    if io.mouse_wheel:
+        viewing.nearer(io.mouse_wheel)
+    place = (int(io.mouse_pos.x - at[0]), int(io.mouse_pos.y - at[1]))
+    if viewing.flat and imgui.is_mouse_down(imgui.MouseButton_.left):
+        start = place if imgui.is_mouse_clicked(imgui.MouseButton_.left) or viewing.line is None else viewing.line[0]
+        viewing.line = (start, place)
+        return
+    for which, name in BUTTONS:
+        if imgui.is_mouse_dragging(which):
+            viewing.shown = controls.drag(viewing.shown, io.mouse_delta.x, io.mouse_delta.y, name, drawn.pixel_um)
 
-    def _measured(self, console: Console, drawn: Drawn, at: tuple[float, float]) -> None:
-        """Draw the line with its length in µm, and, over a range image, the heights along it."""
-        if self.line is None or self.line[0] == self.line[1] or drawn.wish.shown.mode not in FLAT[:2]:
-            return
-        lines = imgui.get_window_draw_list()
-        start, end = (imgui.ImVec2(at[0] + x, at[1] + y) for x, y in self.line)
-        lines.add_line(start, end, YELLOW, 2.0)
-        words = f"{drawn.length_um(self.line):.2f} µm"
-        try:
-            found = drawn.profile(self.line)
-        except StereotomeError:
-            found = None
-        if found is not None and np.isfinite(found.height).any():
-            heights = found.height[np.isfinite(found.height)]
-            words += (
-                f", height {heights.min():.2f} … {heights.max():.2f} µm, end to end {heights[-1] - heights[0]:+.2f}"
-            )
-            size = imgui.ImVec2(min(w.em(18).x, float(drawn.wish.size[0])), w.em(5).x)
-            imgui.set_cursor_screen_pos(imgui.ImVec2(at[0] + 4, at[1] + w.em(4).x))
-            imgui.plot_lines("##profile", heights.astype(np.float32), graph_size=size)
-        corner = imgui.ImVec2(at[0] + w.em(0.5).x, at[1] + w.em(2.4).x)
-        size = imgui.calc_text_size(words)
-        lines.add_rect_filled(corner, imgui.ImVec2(corner.x + size.x, corner.y + size.y), SHADE)
-        lines.add_text(corner, YELLOW, words)
-        console.measured = words
+
+def _measured(console: Console, drawn: Drawn, at: tuple[float, float]) -> None:
+    """Draw the line with its length in µm, and, over a range image, the heights along it."""
+    viewing = console.viewing
+    if viewing.line is None or viewing.line[0] == viewing.line[1] or drawn.wish.shown.mode not in FLAT[:2]:
+        return
+    lines = imgui.get_window_draw_list()
+    start, end = (imgui.ImVec2(at[0] + x, at[1] + y) for x, y in viewing.line)
+    lines.add_line(start, end, w.YELLOW, 2.0)
+    words = f"{drawn.length_um(viewing.line):.2f} µm"
+    try:
+        found = drawn.profile(viewing.line)
+    except StereotomeError:
+        found = None
+    corner = imgui.ImVec2(at[0] + w.em(0.5).x, at[1] + w.em(2.4).x)
+    if found is not None and np.isfinite(found.height).any():
+        heights = found.height[np.isfinite(found.height)]
+        words += f", height {heights.min():.2f} … {heights.max():.2f} µm, end to end {heights[-1] - heights[0]:+.2f}"
+        _profile(lines, found.height, imgui.ImVec2(corner.x, corner.y + w.em(1.6).x))
+    w.over_picture(lines, corner, words, w.YELLOW)
+    console.measured = words
+
+
+def _profile(lines: imgui.ImDrawList, heights: NDArray[np.float64], corner: imgui.ImVec2) -> None:
+    """Draw heights along a line, with gaps where none was found."""
+    end = imgui.ImVec2(corner.x + w.em(18).x, corner.y + w.em(5).x)
+    lines.add_rect_filled(corner, end, w.SHADE)
+    w.curve(lines, heights, corner, end)
+
+
+def _kind(console: Console) -> None:
+    """Draw what chooses the kind of picture, its stereo and its colours, and where it is seen from."""
+    viewing = console.viewing
+    viewing.kind(w.choice("##kind", viewing.shown.modes, viewing.shown.mode, 8))
+    imgui.same_line()
+    stereo = STEREO_KINDS[STEREO_KINDS.index(w.choice("##stereo", STEREO_KINDS, _stereo(console), 9))]
+    _flip(console, stereo)
+    viewing.eyes(mode=stereo)
+    imgui.same_line()
+    colours = w.choice("##colours", (OWN, *TABLES), viewing.colours or OWN, 7)
+    viewing.colours = "" if colours == OWN else colours
+    if stereo != "mono":
+        imgui.set_next_item_width(w.em(7).x)
+        _, angle = imgui.slider_float("° depth", viewing.shown.stereo.vergence_deg, 0.0, 20.0, "%.1f")
+        imgui.same_line()
+        _, swap = imgui.checkbox("swap eyes", viewing.shown.stereo.swap)
+        viewing.eyes(depth_deg=angle, swap=swap)
+    if viewing.flat:
+        _line_fields(viewing)
+    else:
+        _sides(viewing)
+
+
+def _sides(viewing: Viewing) -> None:
+    """Draw from where it is seen, and from where it is lit."""
+    view = viewing.shown.view
+    imgui.set_next_item_width(w.em(10).x)
+    _, side = imgui.slider_float2("turned", [view.azimuth_deg, view.elevation_deg], -180.0, 180.0, "%.0f°")
+    viewing.turned(side[0], side[1])
+    imgui.same_line()
+    imgui.set_next_item_width(w.em(10).x)
+    _, light = imgui.slider_float2("light", list(viewing.light), -90.0, 90.0, "%.0f°")
+    viewing.light = (light[0], light[1])
+
+
+def _line_fields(viewing: Viewing) -> None:
+    """Draw the ends of the line that is measured, to be typed."""
+    (x0, y0), (x1, y1) = viewing.line or ((0, 0), (0, 0))
+    imgui.set_next_item_width(w.em(14).x)
+    typed, ends = imgui.input_int4("line: x y, x y (drag, or L)", [x0, y0, x1, y1])
+    if typed:
+        viewing.line = ((ends[0], ends[1]), (ends[2], ends[3]))
+
+
+def _stereo(console: Console) -> Mode:
+    """Return how the eyes see it: no longer by glasses once these show something else, or nothing."""
+    mode = console.viewing.shown.stereo.mode
+    return "mono" if mode == PAGE_FLIP and console.flipping.shows != SHOWN_REVIEW else mode
+
+
+def _flip(console: Console, stereo: Mode) -> None:
+    """Let the shutter glasses follow what was chosen."""
+    before = console.viewing.shown.stereo.mode
+    if stereo == PAGE_FLIP != before:
+        console.flipping.begin(SHOWN_REVIEW)
+    elif before == PAGE_FLIP != stereo and console.flipping.shows == SHOWN_REVIEW:
+        console.flipping.end()
+
+
+def _opacity(viewing: Viewing, low: float, high: float) -> None:
+    """Draw the points of opacity against value; they stay in order."""
+    points = viewing.points or [(low, 0.0), (high, 0.1)]
+    for k, (value, opacity) in enumerate(points):
+        imgui.push_id(k)
+        imgui.set_next_item_width(w.em(12).x)
+        _, made = imgui.drag_float2("value, opacity", [value, opacity], 0.01, 0.0, high, "%.2f")
+        points[k] = (float(made[0]), min(max(float(made[1]), 0.0), 1.0))
+        imgui.pop_id()
+    if imgui.small_button("one more"):
+        points.append((high, points[-1][1]))
+    imgui.same_line()
+    if imgui.small_button("as usual"):
+        viewing.points = []
+        return
+    rising = sorted(points)
+    apart = all(b[0] > a[0] for a, b in pairwise(rising))
+    viewing.points = rising if apart and rising != [(low, 0.0), (high, 0.1)] else viewing.points

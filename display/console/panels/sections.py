@@ -26,8 +26,8 @@ def draw(console: Console) -> None:
     _form(console)
     imgui.separator_text("by hand")
     _by_hand(console)
-    if console.feed_notice:
-        w.words(f"! {console.feed_notice}", w.ORANGE)
+    if console.knife.notice:
+        w.words(f"! {console.knife.notice}", w.ORANGE)
 
 
 def _stands(console: Console) -> None:
@@ -58,23 +58,23 @@ def _form(console: Console) -> None:
 def _by_hand(console: Console) -> None:
     why_not = console.why_no_motion()
     if w.button("Home feed", why_not, "search its reference: it may travel its whole length"):
-        console.home_feed()
+        console.knife.home()
     imgui.same_line()
     if w.button("Retract knife", why_not, "bring the knife out, without a feed"):
-        console.retract_knife()
-    console.depth_um = w.number("µm deep", console.depth_um, 6, "%.3f")[1]
+        console.knife.retract()
+    console.knife.depth_um = w.number("µm deep", console.knife.depth_um, 6, "%.3f")[1]
     imgui.same_line()
     if w.button("Approach", why_not, "go to this depth in one go; nothing is cut"):
-        console.approach(console.depth_um)
+        console.knife.approach(console.knife.depth_um)
     if w.button("Feed one", why_not, f"forward by {console.form.sections.thickness_nm:g} nm"):
-        console.feed_once()
+        console.knife.feed_once()
     imgui.same_line()
     if w.button("Arm knife", why_not, "allow one cut within the next 10 s"):
-        console.arm_knife()
+        console.knife.arm()
     imgui.same_line()
-    left_s = console.armed_left_s
+    left_s = console.knife.armed_left_s
     if w.button("Cut one", why_not or ("" if left_s else "arm the knife first"), "one stroke; cannot be undone"):
-        console.cut_once()
+        console.knife.cut()
     if left_s:
         imgui.text_colored(w.ORANGE, f"armed for {left_s:.0f} s")
 

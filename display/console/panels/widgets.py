@@ -5,10 +5,13 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+import numpy as np
 from imgui_bundle import hello_imgui, imgui
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
 
 ORANGE = imgui.ImVec4(0.95, 0.6, 0.15, 1)  # told apart from blue by all eyes; words stand beside every colour
 BLUE = imgui.ImVec4(0.35, 0.65, 1.0, 1)
@@ -16,6 +19,9 @@ GREY = imgui.ImVec4(0.65, 0.65, 0.65, 1)
 BROWN = imgui.ImVec4(0.6, 0.35, 0.0, 1)
 RED = imgui.ImVec4(0.85, 0.12, 0.1, 1)
 TALL = 1.3
+YELLOW = 0xFF30D0FF
+WHITE = 0xFFFFFFFF
+SHADE = 0xA0000000
 
 
 def em(width: float, height: float = 0.0) -> imgui.ImVec2:
@@ -65,6 +71,25 @@ def words(text: str, colour: imgui.ImVec4 | None = None) -> None:
     imgui.pop_text_wrap_pos()
     if colour is not None:
         imgui.pop_style_color()
+
+
+def over_picture(lines: imgui.ImDrawList, corner: imgui.ImVec2, text: str, colour: int = WHITE) -> None:
+    """Write over a picture, on a shade."""
+    size = imgui.calc_text_size(text)
+    end = imgui.ImVec2(corner.x + size.x + 3, corner.y + size.y + 1)
+    lines.add_rect_filled(imgui.ImVec2(corner.x - 3, corner.y - 1), end, SHADE)
+    lines.add_text(corner, colour, text)
+
+
+def curve(lines: imgui.ImDrawList, values: NDArray[np.float64], corner: imgui.ImVec2, end: imgui.ImVec2) -> None:
+    """Draw values from the left to the right of a box as high as it is; where there is none, nothing."""
+    known = np.isfinite(values)
+    low, high = float(values[known].min()), float(values[known].max())
+    across = np.linspace(corner.x, end.x, len(values))
+    down = end.y - (values - low) / max(high - low, 1e-9) * (end.y - corner.y)
+    for run in np.split(np.arange(len(values)), np.flatnonzero(np.diff(known)) + 1):
+        if known[run[0]]:
+            lines.add_polyline([imgui.ImVec2(across[k], down[k]) for k in run], YELLOW, 1.5, 0)
 
 
 def text_field(label: str, text: str, width: float = 12.0) -> str:
