@@ -106,6 +106,8 @@ class Eyes:
         What is seen are previews from another computer: smaller, compressed, a few a second.
     rate_hz : float
         Frames a second that were looked at.
+    wake : callable
+        Called, in another thread, with each new frame.
     """
 
     def __init__(
@@ -119,6 +121,7 @@ class Eyes:
         self.seen: Seen | None = None
         self.trend: deque[float] = deque(maxlen=TREND)
         self.rate_hz = 0.0
+        self.wake: Callable[[], None] = lambda: None
         self.afar = False
         self._instrument = instrument
         self._met: Instrument | None = None
@@ -194,3 +197,4 @@ class Eyes:
         kept = self.kept
         if kept is not None and len(kept) * seen.pixels.nbytes < KEPT_BYTES:
             kept.append(seen)
+        self.wake()

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 TITLE = "Stereotome"
 SIZE = (1280, 720)
-IDLE_HZ = 1.0  # an event, or news from the instrument, is drawn at once
+IDLE_HZ = 1.0  # an event, news from the instrument or a frame is drawn at once
 LAYOUT = "console-3"
 SOLID = (
     imgui.Col_.window_bg,
@@ -91,7 +91,7 @@ class ConsoleWindow:
 
     def close(self) -> None:
         """End what draws beside the window."""
-        self.console.bench.wake = lambda: None
+        self.console.bench.wake = self.console.eyes.wake = lambda: None
         self._reviewer.close()
 
     def make_params(self, scale: float | None, *, remembers: bool) -> hello_imgui.RunnerParams:
@@ -166,10 +166,10 @@ class ConsoleWindow:
         )
 
     def _attach(self) -> None:
-        """Draw with ModernGL in the window's own context; be woken by what the instrument tells."""
+        """Draw with ModernGL in the window's own context; be woken by what the instrument tells, and by each frame."""
         import glfw  # noqa: PLC0415  after imgui_bundle, which names the library that both use
 
-        self.console.bench.wake = lambda: glfw.post_empty_event() if self._idles else None
+        self.console.bench.wake = self.console.eyes.wake = lambda: glfw.post_empty_event() if self._idles else None
         self.canvas = Canvas(window_context())
         self.review = review.ReviewPanel(self.canvas, self._reviewer)
         self._draws["Review"] = self.review.draw
@@ -191,17 +191,20 @@ class ConsoleWindow:
         self._keys(console)
         console.in_front = not imgui.get_io().app_focus_lost
         console.tick()
-        live = console.state is not None and console.state.live
-        console_busy = console.running or live or console.stick.device is not None
-        self._idles = not console_busy  # a busy window comes round by itself: more pictures would slow a run
-        thrifty_hz = self._thrift.rate_hz()
-        busy_hz = thrifty_hz if console.running else FULL_HZ
-        self.params.fps_idling.fps_idle = busy_hz if console_busy else IDLE_HZ
+        self._idles = not console.running  # in a run it comes round by itself: more pictures would slow it
+        self.params.fps_idling.fps_idle = self._least_hz(console)
         if console.front:
             _to_the_front(console.front)
             console.front = ""
         self._screen.follow(wanted=console.full_screen)
         floating.draw(console)
+
+    def _least_hz(self, console: Console) -> float:
+        """Return how often to draw while nothing wakes the window."""
+        thrifty_hz = self._thrift.rate_hz()
+        if console.running:
+            return thrifty_hz
+        return FULL_HZ if console.stick.device is not None else IDLE_HZ
 
     def _keys(self, console: Console) -> None:
         """Take keys; STOP is read raw, since a routed key is kept by a field that is being edited."""
