@@ -110,7 +110,7 @@ def part_of_the_frame(hand):
 def by_stick(hand):
     """Move the stage by a scripted stick: up while its button is held, and no more when it falls silent."""
     console = hand.console
-    now_s, from_um = console._clock.now(), console.state.z_um
+    now_s, from_um = console.clock.now(), console.state.z_um
     console.stick.top_um_s = 60.0
     console.stick.use(Scripted([(now_s, 0.0, False), (now_s + 0.5, 1.0, True), (now_s + 1.5, None, True)]))
     hand.wait(lambda: "let its button go" in console.stick.still or "heard" in console.stick.still)
