@@ -5,7 +5,6 @@ All of it is one transparent picture that is laid over each eye's view, so that 
 
 from __future__ import annotations
 
-import math
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +14,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from display.light import linear
+from processing.pictures import nice_length
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,7 +31,6 @@ KILO = 1000.0
 WHOLE = (1e4, 1e7)  # numbers that are written in full
 UNITS = ((1e6, "m"), (1e4, "cm"), (1e3, "mm"), (1.0, "µm"), (1e-3, "nm"))
 AXIS_COLOURS = {"x": (255, 110, 110, 255), "y": (110, 230, 110, 255), "z": (120, 160, 255, 255)}
-NICE = (1, 2, 5)
 
 
 def over(light: Light, overlay: NDArray[np.uint8]) -> Light:
@@ -80,12 +79,6 @@ def _broken(words: str, wide: float, letters: int) -> list[str]:
         else:
             lines.append(word)
     return lines
-
-
-def nice_length(longest: float) -> float:
-    """Return the largest of 1, 2, 5, 10, 20 … that is not longer."""
-    power = 10.0 ** math.floor(math.log10(longest))
-    return max(n * power for n in NICE if n * power <= longest * (1 + 1e-9))
 
 
 def length_words(length: float, unit: str) -> str:

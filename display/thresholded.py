@@ -12,10 +12,9 @@ from acquire.store import is_run
 from display.surfaces import Mesh, Surfaces
 from processing.facets import Facets, between_values, check_some, rounded, smoothed, threshold_surface
 from processing.grey_volume import read_volume
-from processing.measuring import level_of
 from processing.outlines import Outline, outlines
 from processing.result_folder import csv_bytes
-from processing.stereology import is_mask
+from processing.thresholds import values_of
 from processing.tiling import tile
 from processing.volume_filters import checked
 
@@ -126,8 +125,9 @@ def thresholded(
 def _grey(volume: GreyVolume, threshold: str) -> tuple[Array, float]:
     """Return grey values and a level that no voxel has."""
     values = checked(volume.values)
-    level = between_values(values, level_of(values, threshold))
-    if is_mask(values):
+    known = values_of(values)
+    level = between_values(values, known.level(threshold))
+    if known.two:
         return rounded(values > level), 0.5
     return values, level
 

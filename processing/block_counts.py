@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import zarr
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from devices.errors import InputError
-from processing.labels import MOST_LABELS, checked_rule, components
+from processing.labels import MOST_LABELS, components
+from processing.parts import joined, touching
 from processing.slabs import Stage
 from processing.thresholds import found, histogram
 from processing.volume_filters import checked
@@ -100,9 +99,7 @@ class SlabLabels(Stage):
                 fix="smooth first, or raise the threshold.",
                 code="label-overflow",
             )
-        pairs = np.concatenate([np.empty((0, 2), np.int64), *self._touching(begins)])
-        joined = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), (total, total))
-        count, part = connected_components(joined, directed=False) if total else (0, np.empty(0, np.int64))
+        count, part = joined(total, list(self._touching(begins)))
         sizes = np.bincount(part, np.concatenate([s["sizes"] for s in said]), count) if total else np.empty(0)
         first = np.unique(part, return_index=True)[1]
         order = np.argsort(first)
@@ -117,26 +114,9 @@ class SlabLabels(Stage):
         labels: Any = zarr.open_array(self.image("volume") / "0", mode="r")
         for k, (above, _) in enumerate(pairwise(self.slabs)):
             z = above.write[0].stop
-            upper, lower = (np.asarray(labels[0, 0, i]).astype(np.int64) for i in (z - 1, z))
+            upper, lower = (np.asarray(labels[0, 0, i]) for i in (z - 1, z))
             values = self.volumes.read(["volume"], slice(z - 1, z + 1))["volume"] if self.by_value else None
-            for one, other in shifted(upper, lower, values, self.rule):
-                both = np.stack([one - 1 + begins[k], other - 1 + begins[k + 1]], axis=1)
-                yield np.unique(both, axis=0)
-
-
-def shifted(upper: Array, lower: Array, values: Array | None, rule: int) -> Iterator[tuple[Array, Array]]:
-    """Yield the labels of voxels of two planes that are neighbours, for each of the steps between them."""
-    reach = {6: 0, 18: 1, 26: 2}[checked_rule(rule)]
-    for dy, dx in product((-1, 0, 1), repeat=2):
-        if abs(dy) + abs(dx) > reach:
-            continue
-        here = tuple(slice(max(0, -d), n - max(0, d)) for d, n in zip((dy, dx), upper.shape, strict=True))
-        there = tuple(slice(max(0, d), n - max(0, -d)) for d, n in zip((dy, dx), upper.shape, strict=True))
-        one, other = upper[here], lower[there]
-        touch = (one > 0) & (other > 0)
-        if values is not None:
-            touch &= values[0][here] == values[1][there]
-        yield one[touch], other[touch]
+            yield touching(upper, lower, self.rule, values) - 1 + begins[[k, k + 1]]
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -50,8 +51,12 @@ class Threads:
             show(done)
 
         tasks = {("slab", k): (partial(run_slab, stage), k) for k in pending}
-        with Callback(posttask=counted):
-            get(tasks, list(tasks), num_workers=self.count)
+        pool = ThreadPoolExecutor(self.count)
+        try:
+            with Callback(posttask=counted):
+                get(tasks, list(tasks), pool=pool)
+        finally:
+            pool.shutdown(cancel_futures=True)  # a slab under way is finished before anybody else may begin it
 
 
 @dataclass(frozen=True)

@@ -52,15 +52,23 @@ def direction_weights(spacing_um: Spacing) -> dict[Place, float]:
     return {direction: float(value) for direction, value in zip(DIRECTIONS, area, strict=False)}
 
 
+def crossed(step: Place) -> NDArray[np.float64]:
+    """Return, for each filling, which share of the pairs of voxels a step apart has one inside and one outside."""
+    pairs = [(PLACES.index(a), PLACES.index(b)) for a in PLACES if (b := _moved(a, step)) in PLACES]
+    fillings = np.arange(256)
+    shares = [(fillings >> i & 1) != (fillings >> j & 1) for i, j in pairs]
+    return np.asarray(np.mean(shares, axis=0), np.float64)
+
+
+def _moved(place: Place, step: Place) -> Place:
+    return place[0] + step[0], place[1] + step[1], place[2] + step[2]
+
+
 def surface_table(spacing_um: Spacing) -> NDArray[np.float64]:
-    """Return the surface in each filling, (256,), in µm²; a pair of voxels is shared by up to four blocks."""
-    weights = direction_weights(spacing_um)
-    table = np.zeros(256)
-    for (i, a), (j, b) in combinations(enumerate(PLACES), 2):
-        step = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
-        shared = 2 ** (3 - np.count_nonzero(step))
-        crossed = np.array([(filling >> i & 1) != (filling >> j & 1) for filling in range(256)])
-        table += crossed * weights[step if step > (0, 0, 0) else (-step[0], -step[1], -step[2])] / shared
+    """Return the surface in each filling, (256,), in µm²; of each pair of voxels, the share that is this block's."""
+    table: NDArray[np.float64] = sum(
+        (weight * crossed(step) for step, weight in direction_weights(spacing_um).items()), np.zeros(256)
+    )
     return table
 
 

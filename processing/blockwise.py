@@ -51,14 +51,8 @@ class Plan:
     workers: int
 
 
-def sizes(given: Given, choices: Choices, memory: str | None) -> tuple[Volumes, float | None]:
-    """Return the input as blocks read it, and the memory in bytes.
-
-    Raises
-    ------
-    InputError
-        ``blockwise``: the input is no grey stack; ``memory``: no such amount.
-    """
+def opened_volumes(given: Given, choices: Choices) -> Volumes:
+    """Return the input as blocks read it; raises `InputError` ``blockwise`` where it is no grey stack."""
     stacks = [stack for group in given.stacks.values() for stack in group]
     if not stacks or any(stack.colour for stack in stacks):
         raise InputError(
@@ -66,11 +60,15 @@ def sizes(given: Given, choices: Choices, memory: str | None) -> tuple[Volumes, 
             fix="leave out --memory and --scheduler",
             code="blockwise",
         )
+    return Volumes(given.source.absolute(), choices)
+
+
+def amount(memory: str | None) -> float | None:
+    """Return bytes: 2GB is 2e9; raises `InputError` ``memory`` where it is no such amount."""
     try:
-        most = None if memory is None else float(parse_bytes(memory))
+        return None if memory is None else float(parse_bytes(memory))
     except ValueError:
         raise InputError(f"{memory!r} is no amount of memory.", fix="--memory 2GB", code="memory") from None
-    return Volumes(given.source.absolute(), choices), most
 
 
 def plan_slabs(given: Given, halo: int, memory: float | None, workers: int) -> Plan:
@@ -217,7 +215,7 @@ class Blockwise:
 
     def run(self, pipeline: Pipeline) -> dict[str, Path]:
         """Take all steps; returns the image of each layer that was made."""
-        self.types |= {name: kernel_type(s[0].dtype) for name, s in self.volumes.given.stacks.items()}
+        self.types = {name: kernel_type(s[0].dtype) for name, s in self.volumes.given.stacks.items()} | self.types
         local: list[Step] = []
         for step in pipeline.steps:
             if step.halo is not None:

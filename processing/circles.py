@@ -10,6 +10,7 @@ import numpy as np
 from processing.features import add_up
 from processing.labels import components
 from processing.measure_plots import BORDER, INSIDE, LINE, plotted
+from processing.planes import slabs
 from processing.result_folder import csv_bytes
 from processing.unfold import CLASSES, Unfolded, unfold
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from processing.neighbours import Spacing
+    from processing.planes import Planes
 
     Array = NDArray[Any]
 
@@ -44,7 +46,7 @@ class BallSizes:
     direct_per_um3: Array
 
 
-def ball_sizes(labels: Array, spacing_um: Spacing) -> BallSizes:
+def ball_sizes(labels: Planes, spacing_um: Spacing) -> BallSizes:
     """Measure the circles of every plane and find the sizes of balls from them.
 
     Raises
@@ -52,14 +54,15 @@ def ball_sizes(labels: Array, spacing_um: Spacing) -> BallSizes:
     InputError
         ``circles``: too few.
     """
-    circles = np.concatenate([_of_plane(plane, k, spacing_um) for k, plane in enumerate(labels)])
+    planes = ((start + k, plane) for start, slab in slabs(labels) for k, plane in enumerate(slab))
+    circles = np.concatenate([_of_plane(plane, number, spacing_um) for number, plane in planes])
     whole = add_up(labels, None, spacing_um)
     diameters = np.cbrt(6 * whole.sums[:, 0] * np.prod(spacing_um) / np.pi)
     stands_for = _stands_for(whole.spans, labels.shape)
     top = max([*circles[:, 1], *diameters[stands_for > 0], 0]) * (1 + 1e-9)
     edges = np.linspace(0, max(top, 1e-12), CLASSES + 1)
-    area = labels.size * spacing_um[1] * spacing_um[2]
-    volume = labels.size * float(np.prod(spacing_um))
+    area = float(np.prod(labels.shape)) * spacing_um[1] * spacing_um[2]
+    volume = area * spacing_um[0]
     direct, _ = np.histogram(diameters, edges, weights=stands_for)
     found, textbook = (
         unfold(circles[:, 1], area, weights=circles[:, 2], edges_um=edges, method=method)

@@ -15,6 +15,8 @@ from processing.neighbours import CUBIC, Spacing, checked_spacing
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from processing.planes import Planes
+
     Array = NDArray[Any]
 
 measure: Any = typed_measure  # half of it has type hints
@@ -66,7 +68,7 @@ def triangle_areas(points: Array, triangles: Array) -> Array:
     return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
 
 
-def between_values(volume: Array, threshold: float) -> float:
+def between_values(volume: Planes, threshold: float) -> float:
     """Return the level of the surface: of whole numbers, midway to the next that is inside."""
     return float(np.floor(threshold) + 0.5) if volume.dtype.kind in "iub" else float(threshold)
 

@@ -153,6 +153,30 @@ def add_block(block: tuple[int, ...], within: bool, tables: Array, euler: Array,
 
 
 @compiled
+def count_fillings(upper: Array, lower: Array, inner: bool, counts: Array) -> None:  # noqa: FBT001
+    """Count how often blocks of 2×2×2 voxels between two planes are filled in each of the 256 ways.
+
+    Parameters
+    ----------
+    upper, lower : array (rows + 2, columns + 2) uint8
+        Masks of 0 and 1 with a frame of 0 around.
+    inner : bool
+        Both planes are within the volume.
+    counts : array (2, 256) int64
+        Of blocks that reach beyond the volume, and of those within.
+    """
+    rows, columns = upper.shape
+    for y in range(rows - 1):
+        a, b, c, d = upper[y], upper[y + 1], lower[y], lower[y + 1]
+        within = inner and 0 < y < rows - 2
+        left = np.int64(0)
+        for x in range(1, columns):
+            right = np.int64(a[x]) << 1 | np.int64(b[x]) << 3 | np.int64(c[x]) << 5 | np.int64(d[x]) << 7
+            counts[int(within and 1 < x < columns - 1), left | right] += 1
+            left = right >> 1
+
+
+@compiled
 def add_ends(labels: Array, z: int, common: Array, own: Array, reach: Array, places: Array) -> None:
     """Keep the outermost voxels of each label along directions: only ends of runs can be outermost.
 

@@ -12,6 +12,7 @@ from devices.errors import InputError
 from processing import feature_kernels as kernels
 from processing.blocks import euler_table, surface_table
 from processing.neighbours import CUBIC, Rule, Spacing, checked_spacing
+from processing.planes import largest, slabs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -19,11 +20,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from processing.facet_sums import FacetSums
+    from processing.planes import Planes
 
     Array = NDArray[Any]
 
 Table = dict[str, Any]  # of arrays, a column each
 MOST_FEATURES = 2_000_000  # a table of more rows is noise that was labelled
+AT_ONCE = 8192  # features whose outermost voxels are kept at once
 FEWEST_FOR_FACETS = 27  # voxels: smaller features are cut by triangles to less than they are
 AXES = "zyx"
 SPHERE = 36 * np.pi  # S³ / V² of a ball
@@ -66,8 +69,8 @@ class Sums:
 
 
 def add_up(
-    labels: Array,
-    grey: Array | None,
+    labels: Planes,
+    grey: Planes | None,
     spacing_um: Spacing = CUBIC,
     rule: Rule = 26,
     told: Callable[[int], None] | None = None,
@@ -90,14 +93,7 @@ def add_up(
     InputError
         ``labels-many``: more labels than a table can have.
     """
-    count = int(labels.max()) + 1
-    if count > MOST_FEATURES:
-        raise InputError(
-            f"there are labels up to {count - 1}; a table of more than {MOST_FEATURES} features is not made.",
-            why="so many parts are noise that was told apart, or grey values that are no labels.",
-            fix=("smooth the volume first", "drop the smallest: --smallest N", "leave out --labels"),
-            code="labels-many",
-        )
+    count = checked_count(labels) + 1
     sums, spans = np.zeros((count, kernels.SUMS)), np.full((count, 6), np.iinfo(np.int64).max)
     spans[:, 3:] = -1
     extremes = np.tile([np.inf, -np.inf], (count, 1))
@@ -116,11 +112,25 @@ def add_up(
     return Sums(there, sums[there], spans[there], extremes[there], euler[there], area[there])
 
 
-def _planes(labels: Array, grey: Array | None) -> Iterator[tuple[Array, Array]]:
+def checked_count(labels: Planes) -> int:
+    """Return the largest label; raises `InputError` ``labels-many`` where a table cannot have so many."""
+    count = largest(labels)
+    if count > MOST_FEATURES:
+        raise InputError(
+            f"there are labels up to {count}; a table of more than {MOST_FEATURES} features is not made.",
+            why="so many parts are noise that was told apart, or grey values that are no labels.",
+            fix=("smooth the volume first", "drop the smallest: --smallest N", "leave out --labels"),
+            code="labels-many",
+        )
+    return count
+
+
+def _planes(labels: Planes, grey: Planes | None) -> Iterator[tuple[Array, Array]]:
     """Yield each plane of labels within a frame of 0, and its grey values."""
-    for z, plane in enumerate(labels):
-        framed = np.pad(plane.astype(np.uint32, copy=False), 1)
-        yield framed, np.ones(plane.shape, np.float32) if grey is None else np.asarray(grey[z], np.float32)
+    for start, slab in slabs(labels):
+        bright = np.ones(slab.shape, np.float32) if grey is None else grey[start : start + len(slab)]
+        for plane, values in zip(slab, bright, strict=True):
+            yield np.pad(plane.astype(np.uint32, copy=False), 1), np.asarray(values, np.float32)
 
 
 @dataclass(frozen=True)
@@ -147,26 +157,37 @@ def even_directions(count: int = 64) -> tuple[tuple[float, float, float], ...]:
     return tuple(map(tuple, np.concatenate([np.eye(3), spread]).tolist()))
 
 
-def reach(labels: Array, found: Sums, axes: Array, spacing_um: Spacing = CUBIC) -> Reach:
-    """Measure length and breadth; ``axes`` (n, 3, 3) are each feature's own directions, a row each."""
+def reach(labels: Planes, found: Sums, axes: Array, spacing_um: Spacing = CUBIC) -> Reach:
+    """Measure length and breadth; ``axes`` (n, 3, 3) are each feature's own directions, a row each.
+
+    The outermost voxels along all directions take three kilobytes for a feature, so that many features are taken in
+    turns.
+    """
+    some = [slice(k, k + AT_ONCE) for k in range(0, max(len(axes), 1), AT_ONCE)]
+    turns = [_reach(labels, found.labels[part], axes[part], spacing_um) for part in some]
+    return Reach(*(np.concatenate(ends) for ends in zip(*turns, strict=True)))
+
+
+def _reach(labels: Planes, wanted: Array, axes: Array, spacing_um: Spacing) -> tuple[Array, Array]:
+    """Return length and breadth of some of the labels."""
     size = np.array(spacing_um)
     common = np.array(even_directions())
-    count = int(found.labels[-1]) + 1 if len(found.labels) else 1
-    own = np.zeros((count, 3, 3))
-    own[found.labels] = axes
-    span = np.tile([np.inf, -np.inf], (count, len(common) + 3, 1))
-    places = np.zeros((count, len(common) + 3, 2, 3), np.int32)
-    for z, plane in enumerate(labels):
-        kernels.add_ends(plane.astype(np.uint32, copy=False), z, common * size, own * size, span, places)
+    rows = np.zeros(int(wanted.max(initial=0)) + 2, np.uint32)  # of each label; the last is for all that are higher
+    rows[wanted] = np.arange(1, len(wanted) + 1)
+    own = np.concatenate([np.zeros((1, 3, 3)), axes])
+    span = np.tile([np.inf, -np.inf], (len(own), len(common) + 3, 1))
+    places = np.zeros((len(own), len(common) + 3, 2, 3), np.int32)
+    for start, slab in slabs(labels):
+        for z, plane in enumerate(rows[np.minimum(slab, len(rows) - 1)], start):
+            kernels.add_ends(plane, z, common * size, own * size, span, places)
     directions = np.concatenate([np.broadcast_to(common, (len(axes), *common.shape)), axes], axis=1)
-    there = found.labels
-    widths = span[there, :, 1] - span[there, :, 0] + np.linalg.norm(directions * size, axis=2)
-    return Reach(kernels.longest(places[there].reshape(len(there), -1, 3), size), widths.min(axis=1))
+    widths = span[1:, :, 1] - span[1:, :, 0] + np.linalg.norm(directions * size, axis=2)
+    return kernels.longest(places[1:].reshape(len(axes), -1, 3), size), widths.min(axis=1)
 
 
 def measured(
-    labels: Array,
-    grey: Array | None = None,
+    labels: Planes,
+    grey: Planes | None = None,
     spacing_um: Spacing | None = None,
     *,
     rule: Rule = 26,
@@ -255,7 +276,7 @@ def _moments(widths: Array, axes: Array) -> Table:
     return table | {f"axis1_{axis}": longest[:, k] for k, axis in enumerate(AXES)}
 
 
-def _brightness(found: Sums, grey: Array | None) -> Table:
+def _brightness(found: Sums, grey: Planes | None) -> Table:
     if grey is None:
         return {}
     count, total, squares = found.sums[:, 0], found.sums[:, 10], found.sums[:, 11]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ from acquire.progress import progress
 from devices.errors import InputError
 from processing.memory import check_memory
 from processing.neighbours import CUBIC, Spacing, checked_spacing
+from processing.planes import SIDE, Lazy
 from processing.readers import Choice, Recording, as_picture, reading
 from processing.resample import mean_step
 from processing.stack import guarded, plausible_pixel, positions, read_any
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 EVEN = 0.01  # of the mean step; planes that differ by more are said to
+SMALLER = "bin it first: stereotome process resample --bin 2; stereotome measure --memory 2GB goes slab by slab"
 WORK_COPIES = 3  # of the volume that a measurement holds at most
 
 
@@ -31,7 +33,7 @@ class GreyVolume:
 
     Attributes
     ----------
-    values : array (z, y, x)
+    values : array, or volume to be read slab by slab (`processing.planes.Lazy`); (z, y, x)
         Of the type they were stored in.
     spacing_um : tuple of float, optional
         Distance of voxels along (z, y, x); None when it is not known.
@@ -44,7 +46,7 @@ class GreyVolume:
         The file has its planes from high to low z; here they rise.
     """
 
-    values: Array
+    values: Any
     spacing_um: Spacing | None = None
     start_um: float = 0.0
     source: str = ""
@@ -87,6 +89,28 @@ def read_volume(
     InputError
         As `open_stack`; ``volume-shape`` for colour; ``spacing``, ``memory``.
     """
+    opened = open_volume(path, pixel_um=pixel_um, step_um=step_um, channel=channel, time=time)
+    planes = opened.values
+    needed = WORK_COPIES * planes.dtype.itemsize * float(np.prod(planes.shape))
+    check_memory(needed, opened.source, SMALLER)
+    values = np.empty(planes.shape, planes.dtype)
+    with progress("reading planes", len(planes), quiet=quiet) as tell:
+        for k in range(len(planes)):
+            values[k] = planes[k : k + 1][0]
+            tell(k + 1)
+    return replace(opened, values=values)
+
+
+def open_volume(
+    path: Path | str,
+    *,
+    pixel_um: float | None = None,
+    step_um: float | None = None,
+    channel: int | None = None,
+    time: int | None = None,
+    side: int = SIDE,
+) -> GreyVolume:
+    """Open a volume as `read_volume` does, its planes to be read when they are asked for, ``side`` of them at once."""
     source = Path(path)
     with reading(source):
         recording = read_any(source, Choice(channel, time))
@@ -94,16 +118,15 @@ def read_volume(
         raise InputError(f"{source} holds no plane.", fix="give a stack of at least one plane.", code="stack-empty")
     recording = plausible_pixel(guarded(source, recording))
     z_um, said = positions(recording, step_um)
-    values = _planes(recording, source, quiet=quiet)
     spacing, notes = _spacing(recording, z_um, pixel_um)
-    falling = z_um is not None and z_um[0] > z_um[-1]
-    if z_um is not None and falling:
-        values, z_um = values[::-1], z_um[::-1]
-    start_um = 0.0 if z_um is None or spacing is None else float(z_um[0])
+    falling = z_um is not None and bool(z_um[0] > z_um[-1])
+    values = _planes(recording, source, falling=falling, side=side)
+    start_um = 0.0 if z_um is None or spacing is None else float(z_um[-1 if falling else 0])
     return GreyVolume(values, spacing, start_um, str(source), (*recording.notes, *said, *notes), falling)
 
 
-def _planes(recording: Recording, source: Path, *, quiet: bool) -> Array:
+def _planes(recording: Recording, source: Path, *, falling: bool, side: int) -> Lazy:
+    """Return the planes in rising order."""
     first = as_picture(recording.read(0))
     if first.ndim != 2:
         raise InputError(
@@ -111,21 +134,19 @@ def _planes(recording: Recording, source: Path, *, quiet: bool) -> Array:
             fix="save one band, or give a file with channels and choose one: --channel N",
             code="volume-shape",
         )
-    needed = WORK_COPIES * recording.count * first.nbytes
-    check_memory(needed, f"{source}", "bin it first: stereotome process resample --bin 2")
-    values = np.empty((recording.count, *first.shape), first.dtype)
-    with progress("reading planes", recording.count, quiet=quiet) as tell:
-        for k in range(recording.count):
-            plane = as_picture(recording.read(k))
-            if plane.shape != first.shape:
-                raise InputError(
-                    f"{source}: {recording.label(0)} is {first.shape}, {recording.label(k)} is {plane.shape}.",
-                    fix="give planes of one size; put images that do not belong to the stack elsewhere.",
-                    code="stack-shape",
-                )
-            values[k] = plane
-            tell(k + 1)
-    return values
+    order = range(recording.count)[::-1] if falling else range(recording.count)
+
+    def plane(k: int) -> Array:
+        pixels = as_picture(recording.read(k))
+        if pixels.shape != first.shape:
+            raise InputError(
+                f"{source}: {recording.label(0)} is {first.shape}, {recording.label(k)} is {pixels.shape}.",
+                fix="give planes of one size; put images that do not belong to the stack elsewhere.",
+                code="stack-shape",
+            )
+        return pixels.astype(first.dtype, copy=False)
+
+    return Lazy((recording.count, *first.shape), first.dtype, lambda z: np.stack([plane(k) for k in order[z]]), side)
 
 
 def _spacing(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path  # noqa: TC003  the command line is made from the annotations
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -15,18 +17,21 @@ from acquire.progress import progress
 from devices.clock import SystemClock
 from devices.errors import InputError
 from processing import circles, measure_report
-from processing.grey_volume import GreyVolume, read_volume
-from processing.measuring import Measurement, Question, measure_volume
+from processing.block_options import IN_MEMORY, WORK, Blocks
+from processing.grey_volume import GreyVolume, open_volume, read_volume
+from processing.measuring import Features, Measurement, Question, measure_features, told_apart
 from processing.outputs import peak_memory_mb, versions, write_durably
 from processing.picked import Picked, read_picked
 from processing.pipeline import Pipeline, Step
+from processing.planes import slabs
 from processing.result_folder import check_results, csv_bytes, json_bytes
+from processing.step_inputs import Choices
 from processing.volume_files import publish, volume_names, write_volume
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from contextlib import AbstractContextManager
 
-    Array = NDArray[Any]
+    from processing.planes import Planes
 
 Switch = Parameter(negative="")
 SIXTEEN_BIT = 65535
@@ -64,6 +69,7 @@ def measure(
     balls: Annotated[bool, Switch] = False,
     points: Path | None = None,
     scale: Scale = Scale(),
+    blocks: Blocks = IN_MEMORY,
     overwrite: Annotated[bool, Switch] = False,
     json: Annotated[bool, Switch] = False,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative="")] = False,
@@ -104,43 +110,112 @@ def measure(
         Show no progress and no notes.
     """
     question = Question(threshold, dark, neighbours, fill, smallest, labels)
-    files = [*files_of(question), *(circles.FILES if balls else ()), *(PICKED_FILES if points else ())]
-    check_results(output, [*files, "report.json", PAGE], overwrite=overwrite)
-    begin = SystemClock().now()
-    stored = read_volume(data, **asdict(scale), quiet=quiet)
-    seen = stored.values if grey is None else _beside(read_volume(grey, **asdict(scale), quiet=quiet), stored)
-    lines = read_picked(points, stored.values.shape) if points else []
-    volume = _prepared(stored, first)
-    with progress("measuring", 2 * len(volume.values), quiet=quiet) as tell:
-        beside = None if labels and grey is None else seen
-        found = measure_volume(volume, question, seen=beside, told=tell)
-    more = picked_files(lines, seen, stored) if lines else {}
-    if balls:
-        more |= circles.files(circles.ball_sizes(found.labels, stored.spacing), stored.unit)
-    said = (*stored.notes, *found.notes)
-    report = {
-        "format": "stereotome-measure",
-        "version": 1,
-        "input": about(stored),
-        "question": {
-            **asdict(question),
-            "threshold_taken": found.threshold,
-            "first": [*first],
-            "grey": grey and str(grey),
-        },
-        "notes": said,
-        "numbers": {name: asdict(number) for name, number in found.numbers.items()},
-        "features": len(found.table["feature"]),
-        "seconds": round(SystemClock().now() - begin, 3),
-        "peak_memory_mb": round(peak_memory_mb(), 1),
-        "versions": versions(),
-        "files": [*files, "report.json", PAGE],
-    }
-    publish(output, lambda part: write_all(part, found, volume, seen, report, more))
-    for note in () if quiet else said:
+    task = Task(data, output, question, scale, first, grey, balls, points, overwrite, quiet)
+    report, found = task.do(blocks)
+    for note in () if quiet else report["notes"]:
         sys.stderr.write(f"note: {note}\n")
     sys.stdout.write(json_bytes(report).decode() if json else summary(found, report, output))
     return 0
+
+
+@dataclass(frozen=True)
+class Task:
+    """Data to be measured, and where the results go."""
+
+    data: Path
+    output: Path
+    question: Question
+    scale: Scale
+    first: tuple[str, ...]
+    grey: Path | None
+    balls: bool
+    points: Path | None
+    overwrite: bool
+    quiet: bool
+
+    @property
+    def files(self) -> list[str]:
+        """Names of what is written."""
+        more = (*(circles.FILES if self.balls else ()), *(PICKED_FILES if self.points else ()))
+        return [*files_of(self.question), *more, "report.json", PAGE]
+
+    @property
+    def steps(self) -> Pipeline:
+        """Steps before the threshold."""
+        return Pipeline(tuple(Step.parse(words) for words in self.first))
+
+    def do(self, blocks: Blocks) -> tuple[dict[str, Any], Measurement]:
+        """Do it; returns the report and what was found."""
+        check_results(self.output, self.files, overwrite=self.overwrite)
+        begin = SystemClock().now()
+        side = slab_side(self.data, self.scale, blocks) if blocks.wanted else None
+        stored = self._read(self.data, side)
+        seen = stored if self.grey is None else beside(self._read(self.grey, side), stored)
+        lines = read_picked(self.points, stored.values.shape) if self.points else []
+        told_apart = self._by_blocks(stored, blocks) if blocks.wanted else nullcontext(self._in_memory(stored))
+        with told_apart as given:
+            with progress("measuring", 3 * len(stored.values), quiet=self.quiet) as tell:
+                bright = None if self.question.labels and self.grey is None else seen.values
+                found = measure_features(given, self.question, seen=bright, told=tell)
+            more = picked_files(lines, seen.values, stored) if lines else {}
+            if self.balls:
+                more |= circles.files(circles.ball_sizes(found.labels, stored.spacing), stored.unit)
+            report = {
+                **self._report(given, found, (*stored.notes, *found.notes)),
+                "blocks": {"planes": side, "memory": blocks.memory} if side else None,
+                "seconds": round(SystemClock().now() - begin, 3),
+                "peak_memory_mb": round(peak_memory_mb(), 1),
+                "versions": versions(),
+                "files": self.files,
+            }
+            publish(self.output, lambda part: write_all(part, found, given.volume, seen.values, report, more))
+        shutil.rmtree(self.output / WORK, ignore_errors=True)
+        return report, found
+
+    def _read(self, path: Path, side: int | None) -> GreyVolume:
+        scale = asdict(self.scale)
+        return read_volume(path, **scale, quiet=self.quiet) if side is None else open_volume(path, **scale, side=side)
+
+    def _in_memory(self, stored: GreyVolume) -> Features:
+        return told_apart(prepared(stored, self.steps), self.question)
+
+    def _by_blocks(self, stored: GreyVolume, blocks: Blocks) -> AbstractContextManager[Features]:
+        from processing.measure_blocks import by_blocks  # noqa: PLC0415  dask takes a second
+
+        return by_blocks(
+            stored,
+            self.question,
+            Choices(**asdict(self.scale)),
+            self.steps,
+            blocks,
+            self.output,
+            overwrite=self.overwrite,
+            quiet=self.quiet,
+        )
+
+    def _report(self, given: Features, found: Measurement, said: tuple[str, ...]) -> dict[str, Any]:
+        question = {
+            **asdict(self.question),
+            "threshold_taken": found.threshold,
+            "first": [*self.first],
+            "grey": self.grey and str(self.grey),
+        }
+        return {
+            "format": "stereotome-measure",
+            "version": 1,
+            "input": about(given.volume),
+            "question": question,
+            "notes": said,
+            "numbers": {name: asdict(number) for name, number in found.numbers.items()},
+            "features": len(found.table["feature"]),
+        }
+
+
+def slab_side(data: Path, scale: Scale, blocks: Blocks) -> int:
+    """Return how many planes are measured at once."""
+    from processing.measure_blocks import planes_at_once  # noqa: PLC0415  dask takes a second
+
+    return planes_at_once(open_volume(data, **asdict(scale)).values.shape, blocks.memory)
 
 
 def files_of(question: Question) -> list[str]:
@@ -149,21 +224,22 @@ def files_of(question: Question) -> list[str]:
     return [*measure_report.TABLES, *volume_names("labels"), *measure_report.PICTURES, *grey]
 
 
-def _beside(grey: GreyVolume, stored: GreyVolume) -> Array:
+def beside(grey: GreyVolume, stored: GreyVolume) -> GreyVolume:
+    """Return grey values that are as large as the volume; raises `InputError` ``volume-shape`` where they are not."""
     if grey.values.shape != stored.values.shape:
         raise InputError(
             f"{grey.source} has {grey.values.shape} voxels, {stored.source} has {stored.values.shape}.",
             fix="give grey values of the same size: --grey FILE",
             code="volume-shape",
         )
-    return grey.values
+    return grey
 
 
-def _prepared(stored: GreyVolume, first: tuple[str, ...]) -> GreyVolume:
-    if not first:
+def prepared(stored: GreyVolume, first: Pipeline) -> GreyVolume:
+    """Take steps on a volume in memory."""
+    if not first.steps:
         return stored
-    pipeline = Pipeline(tuple(Step.parse(words) for words in first))
-    layers = pipeline({"volume": stored.values, "spacing_um": stored.spacing})
+    layers = first({"volume": stored.values, "spacing_um": stored.spacing})
     if layers["volume"].shape != stored.values.shape:
         raise InputError(
             "a step changes the size of the volume.",
@@ -184,7 +260,7 @@ def about(volume: GreyVolume) -> dict[str, Any]:
     }
 
 
-def picked_files(lines: list[Picked], grey: Array, volume: GreyVolume) -> dict[str, bytes]:
+def picked_files(lines: list[Picked], grey: Planes, volume: GreyVolume) -> dict[str, bytes]:
     """Encode lengths and angles, and the profiles along the lines."""
     unit = "um" if volume.spacing_um else "voxels"
     measured, profiles = [], []
@@ -203,16 +279,17 @@ def write_all(
     part: Path,
     found: Measurement,
     volume: GreyVolume,
-    seen: Array,
+    seen: Planes,
     report: dict[str, Any],
     more: dict[str, bytes],
 ) -> None:
     """Write labels, tables, pictures, the page and the report."""
-    few = int(found.labels.max()) <= SIXTEEN_BIT
-    labels = found.labels.astype(np.uint16 if few else np.uint32, copy=False)
+    dtype = np.dtype(np.uint16 if int(found.table["feature"].max()) <= SIXTEEN_BIT else np.uint32)
     pixel_um = volume.spacing_um and volume.spacing_um[1]
-    layout = FocalArray(len(labels), labels.shape[1:], str(labels.dtype), volume.start_um, volume.spacing[0], pixel_um)
-    write_volume(part, "labels", "labels", layout, iter(labels))
+    shape = found.labels.shape
+    layout = FocalArray(shape[0], shape[1:], str(dtype), volume.start_um, volume.spacing[0], pixel_um)
+    planes = (plane.astype(dtype, copy=False) for _, slab in slabs(found.labels) for plane in slab)
+    write_volume(part, "labels", "labels", layout, planes)
     shown = measure_report.pictures(found, volume, seen)
     for name, content in (measure_report.tables(found) | shown | more).items():
         write_durably(part / name, content)

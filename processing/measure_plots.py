@@ -11,8 +11,10 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
-from processing.pictures import DOTS_PER_INCH, png_bytes, preview
+from processing.pictures import DOTS_PER_INCH, captioned, nice_length, png_bytes, preview
+from processing.planes import cut
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,48 +23,61 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from processing.neighbours import Spacing
+    from processing.planes import Planes
 
     Array = NDArray[Any]
 
 CUT_PX = 420  # longer side of a cut
+DEEPEST = 3.0  # times that, at most, along z
 GAP_PX = 6
+BAR_PX = 6  # wide, and away from the corner
 GOLDEN = 0.381966  # of a turn: hues that stay apart
 PLOT_INCH = (5.2, 3.6)
 MARGINS = {"left": 0.16, "right": 0.97, "bottom": 0.14, "top": 0.91}
 SVG_SEED = "stereotome"  # names within an SVG file stay the same from run to run
+WIDE = 10.0  # sizes that differ more are drawn by their logarithms
+KINDS = ["whole", "cut by the border"]
+UNKNOWN_SHAPES = "the border cuts every feature:\nno shape is known"
 INSIDE, BORDER, LINE = "#2166ac", "#b2182b", "#d95f02"
 
 
-def cuts(grey: Array, labels: Array, spacing_um: Spacing) -> bytes:
-    """Draw three cuts through the fullest plane of each axis, outlines of features in colours; PNG."""
-    xy, xz, yz = (_cut(grey, labels, axis, spacing_um) for axis in range(3))
+def cuts(grey: Planes, labels: Planes, fullest: tuple[int, ...], spacing_um: Spacing, unit: str) -> bytes:
+    """Draw cuts through one plane of each axis, outlines of features in colours, and a bar of known length; PNG."""
+    xy, xz, yz = (_cut(grey, labels, axis, fullest[axis], spacing_um) for axis in range(3))
     yz = yz.transpose(1, 0, 2)
     white = np.uint8(255)
     top = np.concatenate([xy, np.full((xy.shape[0], GAP_PX, 3), white), _tall(yz, xy.shape[0])], axis=1)
     below = np.full((xz.shape[0], top.shape[1], 3), white)
     below[:, : xz.shape[1]] = xz
-    return png_bytes(np.concatenate([top, np.full((GAP_PX, top.shape[1], 3), white), below]))
+    whole = np.concatenate([top, np.full((GAP_PX, top.shape[1], 3), white), below])
+    length = nice_length(labels.shape[2] * spacing_um[2] / 3)
+    _bar(whole, xy.shape[0], max(1, round(length * _scale(labels.shape, spacing_um))))
+    places = ", ".join(f"{axis} = {place}" for axis, place in zip("zyx", fullest, strict=True))
+    return png_bytes(captioned(whole, f"bar: {length:g} {unit}; cut at {places} (voxels from 0)"))
+
+
+def _bar(picture: Array, below: int, length_px: int) -> None:
+    """Draw a bar, white within black, into the lower left of the uppermost rows of a picture."""
+    end = min(BAR_PX + length_px, picture.shape[1])
+    picture[max(0, below - 3 * BAR_PX) : max(0, below - BAR_PX), BAR_PX - 2 : end + 2] = 0
+    picture[max(0, below - 3 * BAR_PX + 2) : max(0, below - BAR_PX - 2), BAR_PX:end] = 255
+
+
+def _scale(shape: tuple[int, ...], spacing_um: Spacing) -> float:
+    """Return how many pixels of a picture a µm has."""
+    deep, *across = (n * s for n, s in zip(shape, spacing_um, strict=True))
+    return CUT_PX / max(*across, deep / DEEPEST)
 
 
 def _tall(picture: Array, rows: int) -> Array:
     return picture[:rows] if len(picture) >= rows else np.pad(picture, [(0, rows - len(picture)), (0, 0), (0, 0)])
 
 
-def fullest(labels: Array, axis: int) -> int:
-    """Return the plane across an axis in which most is labelled; the middle one where all are equal."""
-    others = tuple(a for a in range(3) if a != axis)
-    counts = np.count_nonzero(labels, axis=others)
-    best = np.flatnonzero(counts == counts.max())
-    return int(best[np.abs(best - labels.shape[axis] // 2).argmin()])
-
-
-def _cut(grey: Array, labels: Array, axis: int, spacing_um: Spacing) -> NDArray[np.uint8]:
+def _cut(grey: Planes, labels: Planes, axis: int, place: int, spacing_um: Spacing) -> NDArray[np.uint8]:
     """Return a cut across an axis as RGB, its pixels square; all three at one scale."""
-    place = fullest(labels, axis)
-    shown = preview(np.take(grey, place, axis=axis).astype(np.float32))
-    numbers = np.take(labels, place, axis=axis)
+    shown, numbers = preview(cut(grey, place, axis).astype(np.float32)), cut(labels, place, axis)
     a, b = (spacing_um[k] for k in range(3) if k != axis)
-    scale = CUT_PX / max(n * s for n, s in zip(labels.shape[1:], spacing_um[1:], strict=True))
+    scale = _scale(labels.shape, spacing_um)
     size = tuple(max(1, round(n * s * scale)) for n, s in ((numbers.shape[1], b), (numbers.shape[0], a)))
     picture = cv2.cvtColor(cv2.resize(shown, size, interpolation=cv2.INTER_LINEAR), cv2.COLOR_GRAY2RGB)
     large = cv2.resize(numbers.astype(np.float64), size, interpolation=cv2.INTER_NEAREST).astype(np.int64)
@@ -111,35 +126,43 @@ def grey_histogram(counts: Array, values: Array, threshold: float) -> dict[str, 
     return plotted(draw, "grey_values")
 
 
-def size_histogram(diameters: Array, cut: NDArray[np.bool_], unit: str) -> dict[str, bytes]:
+def size_histogram(diameters: Array, at_border: NDArray[np.bool_], unit: str) -> dict[str, bytes]:
     """Draw how many features have which size; those the border cuts are told apart."""
 
     def draw(axes: Axes) -> None:
-        low, high = diameters.min(), diameters.max()
-        wide = high > 10 * low > 0
+        low, high, wide = _sizes_along(axes, diameters, unit)
         ends = (np.geomspace(low, high, 25) if wide else np.linspace(low, high if high > low else low + 1, 25)).tolist()
-        axes.hist([diameters[~cut], diameters[cut]], ends, stacked=True, color=[INSIDE, BORDER], label=KINDS)
-        axes.set(xlabel=f"diameter of the ball of equal volume, {unit}", ylabel="features", title="Sizes")
-        if wide:
-            axes.set_xscale("log")
+        parts = [diameters[~at_border], diameters[at_border]]
+        axes.hist(parts, ends, stacked=True, color=[INSIDE, BORDER], label=KINDS)
+        axes.set(ylabel="features", title="Sizes")
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
         axes.legend(loc="upper right")
 
     return plotted(draw, "sizes")
 
 
-KINDS = ["whole", "cut by the border"]
+def _sizes_along(axes: Axes, diameters: Array, unit: str) -> tuple[float, float, bool]:
+    """Let sizes go along x, by their logarithms where they differ much; returns the ends, and whether they do."""
+    low, high = float(diameters.min()), float(diameters.max())
+    wide = high > WIDE * low > 0
+    axes.set_xlabel(f"diameter of the ball of equal volume, {unit}")
+    if wide:
+        axes.set_xscale("log")
+        axes.set_xlim(low / 1.2, high * 1.2)
+    return low, high, wide
 
 
-def size_and_shape(diameters: Array, sphericity: Array, cut: NDArray[np.bool_], unit: str) -> dict[str, bytes]:
-    """Draw shape over size, a point for each feature whose shape is known."""
+def size_and_shape(diameters: Array, sphericity: Array, at_border: NDArray[np.bool_], unit: str) -> dict[str, bytes]:
+    """Draw shape over size, a point for each feature whose shape is known: the border does not cut it."""
 
     def draw(axes: Axes) -> None:
-        for chosen, colour, word in ((~cut, INSIDE, KINDS[0]), (cut, BORDER, KINDS[1])):
-            axes.plot(diameters[chosen], sphericity[chosen], ".", color=colour, markersize=4, label=word)
+        _sizes_along(axes, diameters, unit)
+        known = np.isfinite(sphericity) & ~at_border
+        axes.plot(diameters[known], sphericity[known], ".", color=INSIDE, markersize=4)
         axes.axhline(1, color="#999999", linewidth=0.8)
-        axes.set(xlabel=f"diameter of the ball of equal volume, {unit}", ylabel="sphericity", title="Size and shape")
-        if diameters.max() > 10 * diameters.min() > 0:
-            axes.set_xscale("log")
-        axes.legend(loc="lower right")
+        axes.set(ylabel="sphericity", title=f"Size and shape of {np.count_nonzero(known)} features within")
+        if not known.any():
+            axes.text(0.5, 0.5, UNKNOWN_SHAPES, ha="center", va="center", transform=axes.transAxes)
+        axes.margins(y=0.1)
 
     return plotted(draw, "size_and_shape")

@@ -12,7 +12,6 @@ import pyarrow.parquet as pq
 from processing import measure_plots as plots
 from processing import pages
 from processing.result_folder import csv_bytes
-from processing.thresholds import histogram
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
 
     from processing.grey_volume import GreyVolume
     from processing.measuring import Measurement
+    from processing.planes import Planes
 
     Array = NDArray[Any]
 
@@ -30,10 +30,11 @@ GREY_PICTURES = ("grey_values.png", "grey_values.svg")
 SHOWN_FEATURES = 30
 PLACES = {f"{axis}_{unit}" for axis in "zyx" for unit in ("um", "voxels")} | {f"axis1_{axis}" for axis in "zyx"}
 CAPTIONS = {
-    "cuts.png": "Cuts through the fullest plane across z (upper left), x (right) and y (below); features outlined.",
+    "cuts.png": "Cuts through the fullest plane across z (upper left), x (right, planes from left to right) and y "
+    "(below, planes from above); features outlined.",
     "grey_values.png": "Grey values of all voxels; the line is the threshold.",
     "sizes.png": "Sizes of the features.",
-    "size_and_shape.png": "Shape over size; 1 is a ball.",
+    "size_and_shape.png": "Shape over size of the features that the border does not cut; 1 is a ball.",
     "ball_sizes.png": "Sizes of balls from the circles of the planes, with standard errors; the line is their mean.",
 }
 WORDS = {"per_um3": "1/µm³", "per_um": "1/µm", "um3": "µm³", "um2": "µm²", "um": "µm"}
@@ -73,13 +74,13 @@ def parquet_bytes(table: Mapping[str, Array]) -> bytes:
     return file.getvalue()
 
 
-def pictures(found: Measurement, volume: GreyVolume, seen: Array) -> dict[str, bytes]:
+def pictures(found: Measurement, volume: GreyVolume, seen: Planes) -> dict[str, bytes]:
     """Draw cuts and plots."""
     table, unit = found.table, volume.unit
     size = table["diameter_um" if volume.spacing_um else "diameter_voxels"]
-    made = {"cuts.png": plots.cuts(seen, found.labels, volume.spacing)}
-    if found.threshold is not None:
-        made |= plots.grey_histogram(*histogram(volume.values), found.threshold)
+    made = {"cuts.png": plots.cuts(seen, found.labels, found.fullest, volume.spacing, unit)}
+    if found.threshold is not None and found.known is not None:
+        made |= plots.grey_histogram(found.known.counts, found.known.values, found.threshold)
     made |= plots.size_histogram(size, table["at_border"], unit)
     return made | plots.size_and_shape(size, table["sphericity"], table["at_border"], unit)
 

@@ -8,14 +8,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from devices.errors import InputError
-from processing import thresholds
 from processing.facet_sums import FacetSums, facet_sums
 from processing.facets import between_values, rounded
-from processing.features import Table, in_voxels, measured
+from processing.features import Table, checked_count, in_voxels, measured
 from processing.labels import checked_labels, components
 from processing.masks import fill_holes
-from processing.stereology import Estimate, is_mask, surface_ways, volume_fraction, whole
+from processing.planes import Lazy, changed, side_of, surrounded
+from processing.stereology import Estimate, surface_ways, volume_fraction
+from processing.thresholds import Values, values_of
 from processing.volume_filters import checked
+from processing.whole import Whole, whole
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,12 +26,13 @@ if TYPE_CHECKING:
 
     from processing.grey_volume import GreyVolume
     from processing.neighbours import Rule, Spacing
+    from processing.planes import Planes
 
     Array = NDArray[Any]
     Mask = NDArray[np.bool_]
 
-OUTSIDE_RULE: dict[int, Rule] = {6: 26, 18: 6, 26: 6}  # how what is not inside touches
 ROUNDED = 0.5
+ROUNDED_REACH = 4  # planes that rounding looks up and down
 FEW_VOXELS = 27  # shapes of smaller features are those of voxels
 ANISOTROPIC = 5.0  # surfaces of voxels so much deeper than wide are uncertain
 
@@ -68,21 +71,27 @@ class Measurement:
 
     Attributes
     ----------
+    known : Values or None
+        Values of the volume; None of labels.
     threshold : float or None
         The one that was taken.
-    labels : array (z, y, x) uint32
+    labels : volume (z, y, x)
     table : dict of arrays
         A row for each feature.
     numbers : dict of Estimate
         Of the whole, by name with unit.
+    fullest : tuple of int
+        The plane of each axis in which most is inside.
     notes : list of str
         What must be said.
     """
 
+    known: Values | None
     threshold: float | None
-    labels: Array
+    labels: Planes
     table: Table
     numbers: dict[str, Estimate]
+    fullest: tuple[int, ...]
     notes: list[str] = field(default_factory=list)
 
 
@@ -90,10 +99,10 @@ def measure_volume(
     volume: GreyVolume,
     question: Question,
     *,
-    seen: Array | None = None,
+    seen: Planes | None = None,
     told: Callable[[int], None] | None = None,
 ) -> Measurement:
-    """Measure a volume.
+    """Measure a volume in memory.
 
     Parameters
     ----------
@@ -103,7 +112,7 @@ def measure_volume(
     seen : array (z, y, x), optional
         Grey values whose densities are measured, where they are others than those that are parted.
     told : callable, optional
-        Told how many of ``2 × planes`` steps are done.
+        Told how many of ``3 × planes`` steps are done.
 
     Raises
     ------
@@ -111,87 +120,141 @@ def measure_volume(
         ``mask-empty``: there is no feature; ``threshold``, ``labels-needed``, ``labels-many``, ``volume-nan``,
         ``volume-shape``.
     """
-    labels, threshold = _features(volume.values, question)
-    mask: Mask = labels > 0
-    if not mask.any():
-        raise _nothing(volume.values, threshold)
-    grey = seen if seen is not None or question.labels else volume.values
-    spacing = volume.spacing
-    spacing, planes = volume.spacing, len(mask)
-    facets = _facets(volume.values, threshold, labels, spacing, question, told)
-    fine = None if question.labels or is_mask(volume.values) else facets
-    table = measured(labels, grey, spacing, rule=question.rule, facets=fine, told=_later(told, planes))
-    numbers, notes = _of_whole(mask, spacing, question, facets, fine)
-    numbers |= _of_features(table, mask.size * float(np.prod(spacing)))
-    notes = [*_warnings(table, mask, spacing), *notes]
+    return measure_features(told_apart(volume, question), question, seen=seen, told=told)
+
+
+def told_apart(volume: GreyVolume, question: Question) -> Features:
+    """Tell the features of a volume in memory apart."""
+    if question.labels:
+        return Features(volume, None, None, changed(volume.values, checked_labels))
+    known = values_of(volume.values)
+    level = known.level(question.threshold)
+    inside = inside_of(volume.values, level, dark=question.dark)
+    return Features(volume, known, level, features(inside[:], question))
+
+
+def features(inside: Mask, question: Question) -> Array:
+    """Return the features of a mask as labels."""
+    filled = fill_holes(inside) > 0 if question.fill else inside
+    labels: Array = components(filled, rule=question.rule, least=question.smallest)[0]
+    return labels
+
+
+def inside_of(values: Planes, threshold: float, *, dark: bool) -> Planes:
+    """Return the mask of what is inside."""
+    if dark:
+        return changed(values, lambda grey: checked(grey) <= threshold, bool)
+    return changed(values, lambda grey: checked(grey) > threshold, bool)
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Features that have been told apart, in memory or to be read slab by slab.
+
+    Attributes
+    ----------
+    volume : GreyVolume
+        What they were found in.
+    known : Values or None
+        Its values; None where they are labels.
+    threshold : float or None
+        The one that was taken.
+    labels : volume (z, y, x)
+    """
+
+    volume: GreyVolume
+    known: Values | None
+    threshold: float | None
+    labels: Planes
+
+    @property
+    def grey(self) -> bool:
+        """True where there are more than two values, so that surfaces can lie between voxels."""
+        return self.known is not None and not self.known.two
+
+
+def measure_features(
+    given: Features,
+    question: Question,
+    *,
+    seen: Planes | None = None,
+    told: Callable[[int], None] | None = None,
+) -> Measurement:
+    """Measure features, going through the planes a few times and holding a slab of them at most.
+
+    Raises
+    ------
+    InputError
+        ``mask-empty``, ``labels-many``.
+    """
+    volume, labels, spacing = given.volume, given.labels, given.volume.spacing
+    checked_count(labels)
+    found = whole(labels, question.rule, told)
+    if not found.inside:
+        raise _nothing(given)
+    bright = seen if seen is not None or question.labels else volume.values
+    planes = len(labels)
+    facets = _facets(given, question, _later(told, planes))
+    fine = facets if given.grey else None
+    table = measured(labels, bright, spacing, rule=question.rule, facets=fine, told=_later(told, 2 * planes))
+    numbers, notes = _of_whole(found, spacing, facets, fine)
+    numbers |= _of_features(table, found.size * float(np.prod(spacing)))
+    notes = [*_warnings(table, found, spacing), *notes]
     if volume.spacing_um is None:
         table, numbers = in_voxels(table), in_voxels(numbers)
-    return Measurement(threshold, labels, table, numbers, notes)
+    return Measurement(given.known, given.threshold, labels, table, numbers, found.fullest, notes)
 
 
 def _later(told: Callable[[int], None] | None, done: int) -> Callable[[int], None] | None:
     return None if told is None else lambda k: told(done + k)
 
 
-def _facets(
-    values: Array,
-    threshold: float | None,
-    labels: Array,
-    spacing: Spacing,
-    question: Question,
-    told: Callable[[int], None] | None,
-) -> FacetSums | None:
+def _facets(given: Features, question: Question, told: Callable[[int], None] | None) -> FacetSums | None:
     """Add up triangles: between grey values, or between the rounded steps of a mask; None for a single plane."""
+    labels, values, spacing = given.labels, given.volume.values, given.volume.spacing
     if min(labels.shape) < 2:
         return None
-    if threshold is None or is_mask(values):
-        return facet_sums(rounded(labels), ROUNDED, labels > 0, spacing, told)
-    grey, level = _surface_of(values, threshold, labels > 0, question)
-    return facet_sums(grey, level, labels, spacing, told)
+    if given.threshold is None or not given.grey:
+        stairs = surrounded(labels, rounded, ROUNDED_REACH, np.float32)
+        return facet_sums(stairs, ROUNDED, changed(labels, lambda slab: slab > 0, np.uint8), spacing, told)
+    level = between_values(values, given.threshold)
+    return facet_sums(_surface_of(values, level, labels, dark=question.dark), level, labels, spacing, told)
 
 
-def _features(values: Array, question: Question) -> tuple[Array, float | None]:
-    if question.labels:
-        return checked_labels(values), None
-    grey = checked(values)
-    threshold = level_of(grey, question.threshold)
-    inside = (grey <= threshold) if question.dark else (grey > threshold)
-    if question.fill:
-        inside = fill_holes(inside) > 0
-    labels, _ = components(inside, rule=question.rule, least=question.smallest)
-    return labels, threshold
+def _surface_of(values: Planes, level: float, labels: Planes, *, dark: bool) -> Planes:
+    """Return grey values that have the surface of the features at the level: small parts and holes are left out."""
+    step = float(np.spacing(np.float32(abs(level) + 1)))
+
+    def read(z: slice) -> Array:
+        grey, bright = np.asarray(values[z], np.float32), (labels[z] > 0) ^ dark
+        return np.where(bright, np.maximum(grey, level + step), np.minimum(grey, level - step))
+
+    return Lazy(values.shape, np.dtype(np.float32), read, side_of(values))
 
 
-def level_of(grey: Array, threshold: str) -> float:
-    """Return the threshold: a number as it is, or what a method finds; of two values the lower."""
-    try:
-        return float(threshold)
-    except ValueError:
-        pass
-    if threshold in thresholds.METHODS and is_mask(grey) and grey.min() < grey.max():
-        return float(grey.min())
-    return thresholds.found(threshold, *thresholds.histogram(grey))
-
-
-def _nothing(values: Array, threshold: float | None) -> InputError:
-    level = "labelled" if threshold is None else f"inside at the threshold {threshold:g}"
+def _nothing(given: Features) -> InputError:
+    known = given.known
+    if known is None:
+        what = "no voxel is labelled: all are 0."
+    else:
+        what = f"no voxel is inside at the threshold {given.threshold:g}: values are {known.low:g} … {known.high:g}."
     return InputError(
-        f"no voxel is {level}: values are {values.min()} … {values.max()}.",
+        what,
         fix=("choose another threshold: --threshold V", "keep smaller features: --smallest N", "what is dark: --dark"),
         code="mask-empty",
     )
 
 
 def _of_whole(
-    mask: Mask, spacing: Spacing, question: Question, facets: FacetSums | None, fine: FacetSums | None
+    found: Whole, spacing: Spacing, facets: FacetSums | None, fine: FacetSums | None
 ) -> tuple[dict[str, Estimate], list[str]]:
-    total, fraction = whole(mask, spacing, question.rule), volume_fraction(mask)
+    fraction = volume_fraction(found)
     density: tuple[float, float | None] | None = None
     if facets:
         density = fine.density_per_um if fine else (float(facets.totals_um2[0] / facets.seen_um3), None)
-    ways, notes = surface_ways(mask, spacing, total.surface_um2, density)
+    ways, notes = surface_ways(found, spacing, density)
     numbers = {
-        "volume_um3": Estimate(mask.size * float(np.prod(spacing)), None, "all voxels"),
+        "volume_um3": Estimate(found.size * float(np.prod(spacing)), None, "all voxels"),
         "volume_fraction": fraction,
         **{f"surface_per_volume_{name}_per_um": way for name, way in ways.items()},
     }
@@ -200,42 +263,26 @@ def _of_whole(
         numbers["mean_intercept_um"] = Estimate(
             4 * fraction.value / best, None, "4 V_V / S_V: mean length of lines inside"
         )
-    return numbers | _topology(mask, total.euler, total.euler_share, spacing, question.rule), notes
+    return numbers | _topology(found, spacing), notes
 
 
-def _surface_of(values: Array, threshold: float, mask: Mask, question: Question) -> tuple[Array, float]:
-    """Return grey values and the level at which they have the mask's surface."""
-    level, bright = between_values(values, threshold), ~mask if question.dark else mask
-    if np.array_equal(values > level, bright):
-        return values, level
-    step = float(np.spacing(np.float32(abs(level) + 1)))
-    grey = np.asarray(values, np.float32)
-    return np.where(bright, np.maximum(grey, level + step), np.minimum(grey, level - step)), level
-
-
-def _topology(mask: Mask, euler: int, share: float, spacing: Spacing, rule: Rule) -> dict[str, Estimate]:
-    _, parts = components(mask, rule=rule)
-    cavities = _cavities(mask, OUTSIDE_RULE[rule])
-    volume = mask.size * float(np.prod(spacing))
-    return {
+def _topology(found: Whole, spacing: Spacing) -> dict[str, Estimate]:
+    parts, cavities, euler, share = found.parts, found.cavities, found.euler, found.euler_share
+    numbers = {
         "euler_number": Estimate(euler, None, "parts - loops + cavities, as if nothing were outside"),
-        "parts": Estimate(int(parts), None, f"of voxels that touch under rule {rule}"),
+        "parts": Estimate(parts, None, f"of voxels that touch under rule {found.rule}"),
         "cavities": Estimate(cavities, None, "enclosed on all sides"),
-        "loops": Estimate(int(parts) + cavities - euler, None, "parts + cavities - Euler number"),
+        "loops": Estimate(parts + cavities - euler, None, "parts + cavities - Euler number"),
+    }
+    if min(found.shape) < 2:  # a plane shows nothing of how things hang together
+        return numbers
+    volume = found.size * float(np.prod(spacing))
+    return numbers | {
         "euler_number_share": Estimate(share, None, "without what the border adds (Odgaard and Gundersen)"),
         "connectivity_density_per_um3": Estimate(
             (1 - share) / volume, None, "(1 - share of the Euler number) / volume"
         ),
     }
-
-
-def _cavities(mask: Mask, rule: Rule) -> int:
-    outside, count = components(~mask, rule=rule)
-    sides = [
-        np.unique(outside[side]) for side in ((0,), (-1,), np.s_[:, 0], np.s_[:, -1], np.s_[:, :, 0], np.s_[:, :, -1])
-    ]
-    open_ones = np.unique(np.concatenate(sides))
-    return int(count) - int(np.count_nonzero(open_ones))
 
 
 def _of_features(table: Table, volume: float) -> dict[str, Estimate]:
@@ -248,9 +295,9 @@ def _of_features(table: Table, volume: float) -> dict[str, Estimate]:
     }
 
 
-def _warnings(table: Table, mask: Mask, spacing: Spacing) -> list[str]:
+def _warnings(table: Table, found: Whole, spacing: Spacing) -> list[str]:
     notes = []
-    if mask.all():
+    if found.inside == found.size:
         notes.append("everything is inside: one feature fills the volume, and has no surface in it.")
     small = int((table["voxels"] < FEW_VOXELS).sum())
     if small:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import ndimage
 
 from devices.errors import InputError
+from processing.planes import side_of, slabs
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from processing.neighbours import Spacing
+    from processing.planes import Planes
 
     Array = NDArray[Any]
 
@@ -50,13 +52,20 @@ class Picked:
         cosine = np.divide((back * on).sum(axis=1), lengths, out=np.ones(len(lengths)), where=lengths > 0)
         return [float(a) for a in np.degrees(np.arccos(np.clip(cosine, -1, 1)))]
 
-    def profile(self, grey: Array, spacing_um: Spacing) -> tuple[Array, Array]:
+    def profile(self, grey: Planes, spacing_um: Spacing) -> tuple[Array, Array]:
         """Return distances in µm along the line, a smallest side of a voxel apart, and the grey values there."""
         steps = np.linalg.norm(np.diff(self.points * np.array(spacing_um), axis=0), axis=1)
         along = np.concatenate([[0], np.cumsum(steps)])
         at = np.linspace(0, along[-1], max(2, round(along[-1] / min(spacing_um)) + 1))
-        places = [np.interp(at, along, axis) for axis in self.points.T]
-        return at, ndimage.map_coordinates(np.asarray(grey, np.float64), places, order=1, mode="nearest")
+        places = np.stack([np.interp(at, along, axis) for axis in self.points.T])
+        places[0] = np.clip(places[0], 0, len(grey) - 1)
+        values = np.empty(len(at))
+        for start, slab in slabs(grey, after=1):
+            here = (places[0] >= start) & (places[0] < start + side_of(grey))
+            if here.any():
+                within = places[:, here] - [[start], [0], [0]]
+                values[here] = ndimage.map_coordinates(np.asarray(slab, np.float64), within, order=1, mode="nearest")
+        return at, values
 
 
 def read_picked(path: Path, shape: tuple[int, ...]) -> list[Picked]:

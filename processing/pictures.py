@@ -165,6 +165,12 @@ def captioned(image: Picture, words: str) -> Picture:
     return np.vstack([colour, strip])
 
 
+def nice_length(longest: float) -> float:
+    """Return the largest of 1, 2, 5, 10, 20 … that is not longer."""
+    power = 10.0 ** np.floor(np.log10(longest))
+    return float(max(n * power for n in (1, 2, 5) if n * power <= longest * (1 + 1e-9)))
+
+
 def png_bytes(image: Array) -> bytes:
     """Encode grey (h, w) or RGB (h, w, 3), uint8 or uint16, as PNG."""
     encoded: Array = cv2.imencode(".png", image if image.ndim == 2 else image[..., ::-1])[1]

@@ -7,20 +7,98 @@ on its bins, as here.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from devices.errors import InputError
+from processing.planes import slabs
+from processing.volume_filters import checked
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
+
+    from processing.planes import Planes
 
     Array = NDArray[Any]
 
 FLOAT_BINS = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """What values a volume has.
+
+    Attributes
+    ----------
+    low, high : float
+        Smallest and largest.
+    two : bool
+        There are no others.
+    counts, values : array
+        How often each is there, as of `histogram`.
+    """
+
+    low: float
+    high: float
+    two: bool
+    counts: Array
+    values: Array
+
+    def level(self, threshold: str) -> float:
+        """Return the threshold: a number as it is, or what a method finds; of two values the lower.
+
+        Raises
+        ------
+        InputError
+            ``threshold``: it is no finite number, or nothing parts dark from bright; ``operator-params``.
+        """
+        try:
+            level = float(threshold)
+        except ValueError:
+            pass
+        else:
+            if not np.isfinite(level):
+                raise InputError(f"{threshold} is no threshold.", fix="give a finite number.", code="threshold")
+            return level
+        if threshold in METHODS and self.two and self.low < self.high:
+            return self.low
+        return found(threshold, self.counts, self.values)
+
+
+def values_of(volume: Planes) -> Values:
+    """Go through a volume, twice where its values are not of 8 or 16 bit, and see what values it has.
+
+    Raises
+    ------
+    InputError
+        ``volume-nan``, ``volume-shape``.
+    """
+    limits: tuple[float, float] | None = None
+    if volume.dtype not in (np.bool_, np.uint8, np.uint16):
+        ends = [(float(grey.min()), float(grey.max())) for grey in _checked_slabs(volume)]
+        limits = min(low for low, _ in ends), max(high for _, high in ends)
+    tallies, values, between = [], np.empty(0), 0
+    for grey in _checked_slabs(volume):
+        counts, values = histogram(grey, limits)
+        tallies.append(counts)
+        between += 0 if limits is None else int(np.count_nonzero((grey != limits[0]) & (grey != limits[1])))
+    counts = np.sum(tallies, axis=0)
+    if limits is not None:
+        return Values(*limits, between == 0, counts, values)
+    there = np.flatnonzero(counts)
+    return Values(float(there[0]), float(there[-1]), there.size < 3, counts, values)
+
+
+def _checked_slabs(volume: Planes) -> Iterator[Array]:
+    """Yield slabs of the types that kernels know; a volume of other axes has none."""
+    if len(volume.shape) != 3 or 0 in volume.shape:
+        checked(volume[0:1])
+    for _, slab in slabs(volume):
+        yield checked(slab)
 
 
 def histogram(volume: Array, limits: tuple[float, float] | None = None) -> tuple[Array, Array]:

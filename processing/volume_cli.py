@@ -16,6 +16,7 @@ from cyclopts import Parameter
 from acquire.progress import progress
 from devices.clock import SystemClock
 from devices.errors import InputError
+from processing.block_options import IN_MEMORY, WORK, Blocks
 from processing.outputs import peak_memory_mb, versions, write_durably
 from processing.pictures import png_bytes
 from processing.pipeline import Pipeline, Step
@@ -28,26 +29,10 @@ from processing.volume_files import cuts_picture, publish
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from processing.slabs import Stage
-
     Layers = dict[str, Any]
 
 Switch = Parameter(negative="")
 REPORT = "report.json"
-
-
-@dataclass(frozen=True)
-class Blocks:
-    """That work goes block by block, and how."""
-
-    memory: str | None = None
-    scheduler: str | None = None
-    resume: bool = False
-
-    @property
-    def wanted(self) -> bool:
-        """True when anything of it was asked for."""
-        return self.resume or self.memory is not None or self.scheduler is not None
 
 
 def volume(
@@ -61,9 +46,7 @@ def volume(
     channel: int | None = None,
     bands: str = "",
     time: int | None = None,
-    memory: str | None = None,
-    scheduler: str | None = None,
-    resume: Annotated[bool, Switch] = False,
+    blocks: Blocks = IN_MEMORY,
     overwrite: Annotated[bool, Switch] = False,
     json: Annotated[bool, Switch] = False,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative="")] = False,
@@ -90,13 +73,6 @@ def volume(
         Channels for steps that take several, such as 0,1; counted from 0.
     time
         Time point to take when there are several; counted from 0.
-    memory
-        Go block by block, in no more memory than this, such as 2GB; with a scheduler that of each worker.
-    scheduler
-        Go block by block on the workers of the Dask scheduler at this address, such as tcp://10.0.0.5:8786; they must
-        see data and output under the same names.
-    resume
-        Go on with a block by block job that was left; blocks that are done are not done again.
     overwrite
         Replace results that are in the folder.
     json
@@ -109,7 +85,7 @@ def volume(
     first = read_steps(Path(operation), ()) if from_file else read_steps(None, (operation,))
     choices = Choices(pixel_um, step_um, channel, time, channels_of(bands))
     task = Task(Pipeline((*first.steps, *further)), data, output, choices, overwrite=overwrite, quiet=quiet)
-    report = task.do(Blocks(memory, scheduler, resume))
+    report = task.do(blocks)
     sys.stdout.write(notation.dumps(plain(report), ensure_ascii=False) + "\n" if json else summary(report, output))
     return 0
 
@@ -151,7 +127,7 @@ def apply(
     """
     choices = Choices(pixel_um, step_um, channel, time)
     task = Task(read_steps(steps, words), source, output, choices, overwrite=overwrite, quiet=quiet)
-    sys.stdout.write(summary(task.do(Blocks()), output))
+    sys.stdout.write(summary(task.do(IN_MEMORY), output))
     return 0
 
 
@@ -223,31 +199,17 @@ class Task:
         return about, lambda part: write_layers(part, arrays, spacing_um, float(z_um[0]))
 
     def _by_blocks(self, given: Given, blocks: Blocks) -> tuple[dict[str, Any], Callable[[Path], list[str]]]:
-        from processing import blockwise as b  # noqa: PLC0415  dask takes a second
-        from processing.block_runners import Threads, runner  # noqa: PLC0415
+        from processing.block_job import block_job  # noqa: PLC0415  dask takes a second
 
-        halo = b.check_blockwise(self.pipeline)
-        volumes, memory = b.sizes(given, self.choices, blocks.memory)
-        workers = Threads().count if blocks.scheduler is None else b.WORKERS
-        plan = b.plan_slabs(given, halo, memory, workers)
-        work = self.output / WORK
-        job = b.fingerprint(given, volumes, self.pipeline, plan)
-        b.prepare(work, job, resume=blocks.resume, overwrite=self.overwrite)
-        with runner(blocks.scheduler, plan.workers) as running:
-
-            def do(title: str, stage: Stage) -> None:
-                with progress(title, len(stage.slabs), quiet=self.quiet) as show:
-                    running.run(stage, show)
-
-            going = b.Blockwise(work.absolute(), volumes, plan, do)
+        with block_job(
+            self.output, given, self.choices, self.pipeline, blocks, overwrite=self.overwrite, quiet=self.quiet
+        ) as going:
             images = going.run(self.pipeline)
+        plan = going.plan
         about: dict[str, Any] = {"blocks": {"planes": plan.side, "at_once": plan.workers, "memory": blocks.memory}}
         about["values"] = going.values
         about["results"] = {name: {"shape": going.shape, "dtype": going.types[name]} for name in images}
         return about, lambda part: move_images(part, images, given)
-
-
-WORK = ".blocks"
 
 
 def parted(made: Layers) -> tuple[Layers, Layers]:

@@ -19,7 +19,8 @@ from processing.features import measured
 from processing.grey_volume import GreyVolume
 from processing.labels import components
 from processing.measuring import Question, measure_volume
-from processing.stereology import by_boundaries, by_intercepts, volume_fraction, whole
+from processing.stereology import by_boundaries, by_intercepts, volume_fraction
+from processing.whole import whole
 from sim.scenes import shapes
 
 RNG = np.random.default_rng(8)
@@ -117,8 +118,8 @@ def test_length_and_breadth_of_a_box_and_of_a_turned_rod() -> None:
 
 def test_lines_and_planes_of_one_voxel_thickness_are_no_trouble() -> None:
     plane = RNG.random((1, 12, 12)) < 0.5
-    assert set(by_intercepts(plane)) == {"y", "x"}
-    assert set(by_boundaries(plane)) == {"z"}
+    assert set(by_intercepts(whole(plane))) == {"y", "x"}
+    assert set(by_boundaries(whole(plane))) == {"z"}
     found = measure_volume(GreyVolume(plane.astype(np.uint8)), Question())
     assert found.numbers["volume_fraction"].value == plane.mean()
     assert "diameter_voxels" in found.table
@@ -131,7 +132,7 @@ def test_the_counting_error_is_the_scatter_of_independent_specimens() -> None:
         rng = np.random.default_rng(seed)
         spots = rng.integers(0, 48, (rng.poisson(120), 3))
         places[tuple(spots.T)] = True
-        estimates.append(volume_fraction(ndimage.distance_transform_edt(~places) < 4))
+        estimates.append(volume_fraction(whole(ndimage.distance_transform_edt(~places) < 4)))
     scatter = np.std([estimate.value for estimate in estimates], ddof=1)
     claimed = np.median([estimate.error for estimate in estimates])
     assert 0.5 < claimed / scatter < 2
