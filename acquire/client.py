@@ -190,9 +190,13 @@ class Instrument:
         """Call the stage's present place 0 µm."""
         self._call(requests.ZeroStage(), replies.Position)
 
+    def picture(self) -> replies.Picture:
+        """Take one frame, with where, when and how it was taken."""
+        return self._call(requests.Snap(), replies.Picture)
+
     def snap(self) -> tuple[np.ndarray, float]:
         """Take one frame: its pixels, (height, width[, bands]) uint8 or uint16, and z in µm."""
-        picture = self._call(requests.Snap(), replies.Picture)
+        picture = self.picture()
         pixels = np.frombuffer(picture.pixels, picture.dtype).reshape(picture.shape)
         return pixels, picture.z_um
 

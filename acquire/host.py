@@ -201,15 +201,20 @@ class Host:
     def _by_hand_do(self, request: requests.AnyRequest) -> replies.AnyReply:
         match request:
             case requests.MoveStage():
-                return self._hands.move(request.z_um)
+                return self._arrived(self._hands.move(request.z_um))
             case requests.JogStage():
-                return self._hands.jog(request.by_um)
+                return self._arrived(self._hands.jog(request.by_um))
             case requests.ZeroStage():
-                return self._hands.zero()
+                return self._arrived(self._hands.zero())
             case _ if request.lane == "camera":
                 return self._with_camera(request)
             case _:
                 return self._with_feed(request)
+
+    def _arrived(self, position: replies.Position) -> replies.Position:
+        """Note where the stage rests, so that nobody who asks after the answer is told an older place."""
+        self._z_um, self._z_read_s = position.z_um, self._clock.now()
+        return position
 
     def _with_feed(self, request: requests.AnyRequest) -> replies.AnyReply:
         match request:

@@ -25,9 +25,9 @@ from imgui_bundle.immapp import testing
 
 from acquire import requests
 from acquire.bench import PROGRAM
+from acquire.served import Served
 from acquire.store import open_run
 from display.console.app import opened
-from display.console.instrument import Served
 from display.console.window import ConsoleWindow
 from display.gl.live_picture import LivePicture
 

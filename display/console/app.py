@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from acquire.meeting import ServerGone
+from acquire.served import found_or_started
 from devices.errors import DisplayError
 from devices.rig import load_rig
 from display.console import settings as remembered
 from display.console.bench import Bench
 from display.console.eyes import Eyes
-from display.console.instrument import found_or_started
 from display.console.journal import Journal
 from display.console.model import TOP_OF_UNKNOWN, Console
 from display.console.setup import Later, Setup
 from display.console.tour import Tour
 
 if TYPE_CHECKING:
-    from display.console.instrument import Served
+    from acquire.served import Served
 
 Flag = Annotated[bool, Parameter(negative="")]
 

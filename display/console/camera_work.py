@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from acquire import replies, requests
+from acquire.snapshots import write_clip, write_snapshot
 from devices.errors import StereotomeError
 from display.console.placing import Placing, inside
-from display.console.snapshots import write_clip, write_snapshot
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,20 +8,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from acquire.meeting import ServerGone
+from acquire.served import found_or_started
 from devices.clock import SystemClock
 from devices.commands import check_text, described_ports
 from devices.errors import InputError, StereotomeError
 from devices.init_rig import LIMITS_UM, NOBODY_KNOWN, SOURCES, USUAL_BAUD, USUAL_LIMITS_UM, Bench, remark, rig_text
 from devices.probe import BAUDS, probe_port
 from devices.registry import drivers
-from display.console.instrument import found_or_started
 from processing.outputs import write_durably
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from acquire.client import Instrument
-    from display.console.instrument import Served
+    from acquire.served import Served
 
 
 class Later:

@@ -11,9 +11,9 @@ from pathlib import Path
 from imgui_bundle import imgui
 from imgui_bundle.immapp import testing
 
+from acquire.served import Served
 from display.console import camera_work
 from display.console.app import opened
-from display.console.instrument import Served
 from display.console.setup import Later
 from display.console.window import ConsoleWindow
 

@@ -1,4 +1,4 @@
-"""The instrument process behind a console: joined when it serves already, else started, in a process of its own."""
+"""An instrument process: joined when it serves already, else started, in a process of its own."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Served:
     place : Path or str
         Its connection file, or ``tcp://HOST:PORT``; None for the only one there is.
     process : Popen or None
-        It, when this console started it.
+        It, when this program started it.
     keys : Path or None
         Folder of the keys by which it lets this client in.
     """
@@ -47,7 +47,7 @@ class Served:
         return Instrument.connect(self.place, keys=self.keys)
 
     def end(self) -> None:
-        """End it, if this console started it."""
+        """End it, if this program started it."""
         if self.process is not None:
             with suppress(ProcessLookupError, subprocess.TimeoutExpired):
                 self.process.send_signal(signal.SIGINT)
@@ -90,14 +90,14 @@ def found_or_started(
 
 
 def _started(options: Sequence[str]) -> Served:
-    log = runtime_folder() / "console-started.log"
+    log = runtime_folder() / "serve-started.log"
     with log.open("wb") as errors:
         process = subprocess.Popen(
             [*PROGRAM, "serve", *options, "--leave-after", str(LEAVE_AFTER_S)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=errors,
-            start_new_session=True,  # it outlives a console that crashes
+            start_new_session=True,  # it outlives a client that crashes
         )
     assert process.stdout is not None
     line = process.stdout.readline()
