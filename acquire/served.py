@@ -8,16 +8,12 @@ import subprocess
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from acquire.bench import PROGRAM
 from acquire.client import Instrument
 from acquire.meeting import connection_file, is_served, runtime_folder
 from devices.errors import DeviceError
 from devices.rig import load_rig
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 LEAVE_AFTER_S = 30
 END_S = 30.0
@@ -36,11 +32,14 @@ class Served:
         It, when this program started it.
     keys : Path or None
         Folder of the keys by which it lets this client in.
+    options : tuple of str
+        With which this program started it.
     """
 
     place: Path | str | None
     process: subprocess.Popen[bytes] | None = None
     keys: Path | None = None
+    options: tuple[str, ...] = ()
 
     def connect(self) -> Instrument:
         """Connect to it; raises as `Instrument.connect`."""
@@ -52,6 +51,15 @@ class Served:
             with suppress(ProcessLookupError, subprocess.TimeoutExpired):
                 self.process.send_signal(signal.SIGINT)
                 self.process.wait(END_S)
+
+    def anew(self) -> bool:
+        """End it and start it again, so that all devices are opened anew; False when this program did not start it."""
+        if self.process is None:
+            return False
+        self.end()
+        started = _started(self.options)
+        self.place, self.process = started.place, started.process
+        return True
 
 
 def found_or_started(
@@ -86,10 +94,10 @@ def found_or_started(
     if is_served(connection_file(name)):
         return Served(connection_file(name))
     named = [] if instrument is None else ["-i", str(instrument.absolute())]
-    return _started([*named, *(["--sim"] if sim else []), *(["--block"] if block else [])])
+    return _started((*named, *(["--sim"] if sim else []), *(["--block"] if block else [])))
 
 
-def _started(options: Sequence[str]) -> Served:
+def _started(options: tuple[str, ...]) -> Served:
     log = runtime_folder() / "serve-started.log"
     with log.open("wb") as errors:
         process = subprocess.Popen(
@@ -104,7 +112,7 @@ def _started(options: Sequence[str]) -> Served:
     if not line:
         process.wait()
         raise _not_started(log)
-    return Served(Path(json.loads(line)["connection"]), process)
+    return Served(Path(json.loads(line)["connection"]), process, options=options)
 
 
 def _not_started(log: Path) -> DeviceError:

@@ -105,7 +105,7 @@ def opened(served: Served | Later, stack: ExitStack) -> Console:
     folder = remembered.settings_folder()
     settings = remembered.load(folder)
     journal = Journal()
-    bench = Bench(served.connect, journal)
+    bench = Bench(served.connect, journal, anew=served.anew)
     stack.callback(bench.close)
 
     def top() -> int:

@@ -42,6 +42,8 @@ class Bench:
         Returns a connected client; may wait.
     journal : Journal
         Told of what goes wrong and of what happens in a run.
+    anew : callable
+        Ends the instrument's process and starts it again; False when that is not this console's to do.
 
     Attributes
     ----------
@@ -53,12 +55,21 @@ class Bench:
         STOP was pressed and the instrument did not yet say that it is stopped.
     """
 
-    def __init__(self, connect: Callable[[], Instrument], journal: Journal, clock: Clock | None = None) -> None:
+    def __init__(
+        self,
+        connect: Callable[[], Instrument],
+        journal: Journal,
+        clock: Clock | None = None,
+        *,
+        anew: Callable[[], bool] = lambda: False,
+    ) -> None:
         self.actor = getpass.getuser()
         self.rig: RigSpec | None = None
         self.stop_asked = False
         self.wake: Callable[[], None] = lambda: None
         self._connect = connect
+        self._anew = anew
+        self._wants_anew = False
         self._journal = journal
         self._clock = clock or SystemClock()
         self._instrument: Instrument | None = None
@@ -106,6 +117,10 @@ class Bench:
     def give_command(self) -> None:
         """Let somebody else command."""
         self._wants_command = False
+
+    def start_anew(self) -> None:
+        """Have the instrument's process started again: devices that were lost are opened anew, nothing moves."""
+        self._wants_anew = True
 
     def ask(
         self, request: requests.AnyRequest, place: str, answered: Answered | None = None, *, quiet: bool = False
@@ -174,6 +189,9 @@ class Bench:
             self._over.wait(AGAIN_S)
 
     def _look(self) -> None:
+        if self._wants_anew:
+            self._wants_anew = False
+            self._start_anew()
         if self._instrument is not None and self._instrument.silent_s > GONE_S:
             self._say("error", "the instrument fell silent; looking for it again.")
             self._leave()
@@ -185,6 +203,12 @@ class Bench:
         elif self._instrument.commands and not self._wants_command:
             self._instrument.release()
 
+    def _start_anew(self) -> None:
+        self._say("info", "the instrument's process is started anew ...")
+        self._leave()
+        if not self._anew():
+            self._say("warning", "it was started elsewhere: end it there, and start it again: stereotome serve")
+
     def _meet(self) -> None:
         instrument = self._connect()
         try:
@@ -195,6 +219,8 @@ class Bench:
             instrument.close()
             raise
         self._instrument = instrument
+        if self.stop_asked:  # by one who pressed it while nothing answered: it may have been lost on the way
+            self.stop()
         self._say("info", f"connected to {instrument.welcome.instrument}")
 
     def _command(self, instrument: Instrument) -> None:

@@ -72,7 +72,7 @@ def middle(pixels: np.ndarray, side: int = SCORED_PX) -> np.ndarray:
 
 def look(number: int, pixels: np.ndarray, header: FrameHeader, top: int) -> Seen:
     """Return a frame with what can be read off it."""
-    over, under = np.count_nonzero(pixels >= top), pixels.size - np.count_nonzero(pixels)
+    over, under = int(np.count_nonzero(pixels >= top)), pixels.size - int(np.count_nonzero(pixels))
     return Seen(
         number,
         pixels,

@@ -36,6 +36,10 @@ class Later:
             raise ServerGone("no instrument is chosen yet.")
         return self.served.connect()
 
+    def anew(self) -> bool:
+        """Start it again, if this console started it."""
+        return self.served is not None and self.served.anew()
+
     def end(self) -> None:
         """End what this console started."""
         if self.served is not None:

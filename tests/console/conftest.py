@@ -72,7 +72,7 @@ def knife_server(tmp_path_factory):
 
 
 @pytest.fixture
-def drive(screen, tmp_path):
+def drive(screen, tmp_path, bench):
     """Drive the console by a function of `driven`; returns its exit code and what it said."""
 
     def run(function, server, *, scale=1.0):
@@ -80,7 +80,12 @@ def drive(screen, tmp_path):
         scale *= 1.0 if PICTURES else 0.5  # everything at its place, on a quarter of the pixels
         child = subprocess.run(
             [sys.executable, str(HAND), function, str(server.connection), str(folder), str(scale)],
-            env={**screen, "XDG_CONFIG_HOME": str(tmp_path), "XDG_RUNTIME_DIR": str(server.runtime)},
+            env={
+                **screen,
+                "XDG_CONFIG_HOME": str(tmp_path),
+                "XDG_RUNTIME_DIR": str(server.runtime),
+                "STEREOTOME_BENCH": bench.told["control"],
+            },
             cwd=tmp_path,
             capture_output=True,
             text=True,

@@ -1,15 +1,20 @@
 """What the tests do with the console, each function in a process of its own: see `hand`."""
 
+import json
 import os
 import signal
 import tomllib
 from pathlib import Path
 
 import msgspec
-from hand import KEY
+import numpy as np
+from hand import KEY, MENU
 from imgui_bundle import imgui
 
+from acquire.frame import FrameHeader
+from display.console.eyes import look
 from display.console.keys import PANELS
+from display.console.moving import Marks
 from display.console.sticks import Scripted
 from display.console.tour import Tour
 
@@ -28,6 +33,31 @@ def first_start(hand):
     hand.wait(lambda: hand.console.bench.commands or (setup.words and not setup.doing))
     hand.click("//Camera/Live")
     hand.wait(lambda: hand.console.eyes.seen)
+    lost_and_back(hand)
+
+
+def lost_and_back(hand):
+    """Lose the stage, then the process; start it anew: the stage is back, and frames come from another ring."""
+    console, before = hand.console, hand.console.bench.ring
+    hand.bench(do="unplug", device="z")
+    hand.key(KEY.page_up)
+    hand.wait(lambda: console.notice)
+    assert "[device-lost] z stage" in console.notice
+    hand.shot("console_lost")
+    hand.bench(do="replug", device="z")
+    served = console.setup.later.served
+    served.process.kill()
+    hand.wait(lambda: any("fell silent" in line.words for line in console.journal.lines("error")))
+    hand.ctx.window_focus("//Session")
+    hand.click("//Session/Start the instrument anew")
+    hand.wait(lambda: console.bench.commands)
+    console.eyes.seen = None
+    hand.click("//Camera/Live")
+    hand.wait(lambda: console.eyes.seen)
+    assert console.bench.ring != before
+    z_um = console.state.z_um
+    hand.key(KEY.page_up)
+    hand.at(z_um + 2.0)
 
 
 def first_run(hand):
@@ -42,7 +72,11 @@ def first_run(hand):
     hand.ctx.mouse_move("//Live/picture")
     hand.ctx.mouse_wheel_y(-3)
     hand.at(-2.0)
+    hand.key(KEY.l)
     part_of_the_frame(hand)
+    assert console.line
+    hand.key(KEY.l)
+    troubles(hand)
     hand.enter("//Stage/µm", 50_000.0)
     hand.click("//Stage/Go")
     hand.wait(lambda: "[limit]" in console.notice)
@@ -105,6 +139,37 @@ def part_of_the_frame(hand):
     assert console.camera.roi[2] < width / 2
     hand.key(KEY.w)
     hand.wait(lambda: console.eyes.seen.pixels.shape == (height, width))
+
+
+def troubles(hand):
+    """Have a server that stands still, frames of other kinds, and a plan that cannot be."""
+    console = hand.console
+    server = json.loads(hand.connection.read_text())["pid"]
+    os.kill(server, signal.SIGSTOP)
+    hand.wait(lambda: not console.bench.connected)
+    hand.key(KEY.page_up)
+    hand.wait(lambda: "does not answer" in console.notice)
+    hand.key(KEY.escape)
+    hand.wait(lambda: console.stopped)
+    hand.shot("console_silent")
+    os.kill(server, signal.SIGCONT)
+    hand.wait(lambda: console.bench.commands and console.state.stopped)
+    hand.click(MENU, "Release")
+    hand.wait(lambda: not console.stopped)
+    other_frames(hand)
+    console.form.marks.top_um, console.form.marks.bottom_um = 9000.0, 0.0
+    hand.wait(lambda: "soft limits" in console.why_no_start())
+    console.form.marks = Marks()
+
+
+def other_frames(hand):
+    """Show frames of other sizes, depths and colours between those of the camera."""
+    console, rng = hand.console, np.random.default_rng(1)
+    for number, (shape, dtype) in enumerate([((40, 60), "u1"), ((50, 30, 3), "u1"), ((70, 90), "u2")], start=1):
+        pixels = rng.integers(0, 255, shape).astype(dtype)
+        console.eyes.seen = look(-number, pixels, FrameHeader(-1, 0.0, 0.0, 1.0), 255)
+        hand.ctx.yield_()
+    assert not any("[bug]" in line.words for line in console.journal.lines("error"))
 
 
 def by_stick(hand):

@@ -3,7 +3,9 @@
 The function is one of `driven`, and is given a `Hand`. The program ends with 0, or with what went wrong.
 """
 
+import json
 import os
+import socket
 import sys
 from contextlib import ExitStack
 from pathlib import Path
@@ -27,7 +29,8 @@ MENU = "//##MainMenuBar/##MenuBar"
 class Hand:
     """An operator's hand, and eyes that wait."""
 
-    def __init__(self, ctx, console, window, folder):
+    def __init__(self, ctx, console, window, folder, connection):
+        self.connection = Path(connection)
         self.ctx = ctx
         self.console = console
         self.window = window
@@ -77,6 +80,13 @@ class Hand:
     def key(self, chord):
         """Press a key."""
         self.ctx.key_press(chord)
+
+    def bench(self, **words):
+        """Ask the bench to do something; see `sim.control`."""
+        host, _, port = os.environ["STEREOTOME_BENCH"].partition(":")
+        with socket.create_connection((host, int(port))) as control, control.makefile("rb") as lines:
+            control.sendall(json.dumps(words).encode() + b"\n")
+            assert json.loads(lines.readline())["ok"]
 
     def fields(self, panel):
         """Return all of a panel that can be pressed or filled in now, but for curves and what fields do as well."""
@@ -135,7 +145,7 @@ def main(function, connection, folder, scale):
         window = ConsoleWindow(console, scale=float(scale), remembers=False)
 
         def drive(ctx):
-            hand = Hand(ctx, console, window, Path(folder))
+            hand = Hand(ctx, console, window, Path(folder), connection)
             engine = imgui.test_engine.get_io(ctx.engine)
             engine.config_watchdog_warning = engine.config_watchdog_kill_test = 1e6
             if connection != "later":

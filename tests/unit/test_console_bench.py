@@ -159,6 +159,18 @@ def test_without_an_instrument_a_stop_says_where_to_stop(start):
     assert isinstance(answers[0], ServerGone)
 
 
+def test_a_stop_that_got_no_answer_is_sent_again_to_the_instrument_once_it_is_back(start):
+    silent, back = FakeInstrument(), FakeInstrument()
+    bench, _ = start(silent, back)
+    until(lambda: bench.connected)
+    bench.stop()
+    silent.silent_s = 99.0
+    until(lambda: back.asked)
+    assert type(back.asked[0][0]) is requests.Stop
+    back.asked[0][1].set_result(replies.Stopped(told=("z stage",), failed=()))
+    until(lambda: bench.settle() or not bench.stop_asked)
+
+
 def test_only_news_wake_the_window(start):
     there, woken = FakeInstrument(), []
     bench, _ = start(there)

@@ -39,6 +39,9 @@ def _notes(console: Console) -> None:
         console.note(form.notes)
     console.settings.snapshots = w.text_field("snapshots go to", console.settings.snapshots, 10)
     _, console.settings.sound = imgui.checkbox("a sound at alarms", console.settings.sound)
+    why_not = "a run has the devices" if console.running else ""
+    if w.button("Start the instrument anew", why_not, "its process, and with it all devices that were lost"):
+        console.bench.start_anew()
     form.keep_free_gb = max(0.0, w.number("GB to keep free", form.keep_free_gb, 5)[1])
     if imgui.tree_node("the recipe this makes"):
         imgui.input_text_multiline("##recipe", form.recipe(), w.em(22, 14), imgui.InputTextFlags_.read_only)
