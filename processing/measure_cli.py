@@ -16,10 +16,10 @@ from acquire.ome_zarr import FocalArray
 from acquire.progress import progress
 from devices.clock import SystemClock
 from devices.errors import InputError
-from processing import circles, measure_report
+from processing import circles, measure_network, measure_report
 from processing.block_options import IN_MEMORY, WORK, Blocks
 from processing.grey_volume import GreyVolume, open_volume, read_volume
-from processing.measuring import Features, Measurement, Question, measure_features, told_apart
+from processing.measuring import Features, Measurement, Question, measure_features, told_apart, with_network
 from processing.outputs import peak_memory_mb, versions, write_durably
 from processing.picked import Picked, read_picked
 from processing.pipeline import Pipeline, Step
@@ -67,6 +67,7 @@ def measure(
     labels: Annotated[bool, Switch] = False,
     grey: Path | None = None,
     balls: Annotated[bool, Switch] = False,
+    skeleton: Annotated[bool, Switch] = False,
     points: Path | None = None,
     scale: Scale = Scale(),
     blocks: Blocks = IN_MEMORY,
@@ -100,6 +101,8 @@ def measure(
         Grey values whose densities are measured, where the data are others.
     balls
         Find the sizes of balls from the circles of the planes, beside those measured directly.
+    skeleton
+        Thin the features to lines: nodes, branches, loops, and a table of the branches.
     points
         Table (CSV) of picked points, name,z,y,x in voxels: lengths and angles along those of one name, and profiles.
     overwrite
@@ -110,7 +113,7 @@ def measure(
         Show no progress and no notes.
     """
     question = Question(threshold, dark, neighbours, fill, smallest, labels)
-    task = Task(data, output, question, scale, first, grey, balls, points, overwrite, quiet)
+    task = Task(data, output, question, scale, first, grey, balls, skeleton, points, overwrite, quiet)
     report, found = task.do(blocks)
     for note in () if quiet else report["notes"]:
         sys.stderr.write(f"note: {note}\n")
@@ -129,6 +132,7 @@ class Task:
     first: tuple[str, ...]
     grey: Path | None
     balls: bool
+    skeleton: bool
     points: Path | None
     overwrite: bool
     quiet: bool
@@ -136,7 +140,8 @@ class Task:
     @property
     def files(self) -> list[str]:
         """Names of what is written."""
-        more = (*(circles.FILES if self.balls else ()), *(PICKED_FILES if self.points else ()))
+        asked = ((self.balls, circles.FILES), (self.skeleton, measure_network.FILES), (self.points, PICKED_FILES))
+        more = [name for wanted, names in asked if wanted for name in names]
         return [*files_of(self.question), *more, "report.json", PAGE]
 
     @property
@@ -157,7 +162,10 @@ class Task:
             with progress("measuring", 3 * len(stored.values), quiet=self.quiet) as tell:
                 bright = None if self.question.labels and self.grey is None else seen.values
                 found = measure_features(given, self.question, seen=bright, told=tell)
+            found = with_network(found, stored) if self.skeleton else found
             more = picked_files(lines, seen.values, stored) if lines else {}
+            if found.network is not None:
+                more |= measure_report.network_files(found.network, scaled=stored.spacing_um is not None)
             if self.balls:
                 more |= circles.files(circles.ball_sizes(found.labels, stored.spacing), stored.unit)
             report = {
@@ -180,8 +188,10 @@ class Task:
         return told_apart(prepared(stored, self.steps), self.question)
 
     def _by_blocks(self, stored: GreyVolume, blocks: Blocks) -> AbstractContextManager[Features]:
-        from processing.measure_blocks import by_blocks  # noqa: PLC0415  dask takes a second
+        from processing.measure_blocks import by_blocks, whole_needed  # noqa: PLC0415  dask takes a second
 
+        if self.skeleton:
+            raise whole_needed("--skeleton")
         return by_blocks(
             stored,
             self.question,

@@ -11,14 +11,17 @@ import pyarrow.parquet as pq
 
 from processing import measure_plots as plots
 from processing import pages
+from processing.measure_network import BRANCHES, NODES
+from processing.pictures import png_bytes
 from processing.result_folder import csv_bytes
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from numpy.typing import NDArray
 
     from processing.grey_volume import GreyVolume
+    from processing.measure_network import Network
     from processing.measuring import Measurement
     from processing.planes import Planes
 
@@ -35,11 +38,13 @@ CAPTIONS = {
     "grey_values.png": "Grey values of all voxels; the line is the threshold.",
     "sizes.png": "Sizes of the features.",
     "size_and_shape.png": "Shape over size of the features that the border does not cut; 1 is a ball.",
+    "skeleton.png": "The skeleton seen along z: branches white, nodes red, ends yellow.",
     "ball_sizes.png": "Sizes of balls from the circles of the planes, with standard errors; the line is their mean.",
 }
-WORDS = {"per_um3": "1/µm³", "per_um": "1/µm", "um3": "µm³", "um2": "µm²", "um": "µm"}
+WORDS = {"per_um3": "1/µm³", "per_um2": "1/µm²", "per_um": "1/µm", "um3": "µm³", "um2": "µm²", "um": "µm"}
 VOXEL_WORDS = {
     "per_voxels3": "1/voxel",
+    "per_voxels2": "1/area of a voxel's side",
     "per_voxels": "1/side of a voxel",
     "voxels3": "voxels",
     "voxels2": "sides of voxels",
@@ -94,9 +99,34 @@ def page(found: Measurement, report: Mapping[str, Any], shown: Mapping[str, byte
     parts += [pages.heading("Features"), _summary(found.table)]
     parts += [pages.picture(shown[name], CAPTIONS[name]) for name in CAPTIONS if name in shown and name != "cuts.png"]
     parts += [pages.heading("The largest"), _largest(found.table)]
+    if found.network is not None:
+        parts += [pages.heading("The longest branches of the skeleton"), _branches(found.network, report)]
     parts += [pages.heading("What was asked for"), pages.facts(report["question"])]
     parts += [pages.heading("Where it comes from"), pages.facts({**report["input"], **report["versions"]})]
     return pages.page(f"Measurement of {report['input']['source']}", parts)
+
+
+def network_files(net: Network, *, scaled: bool) -> dict[str, bytes]:
+    """Encode branches and nodes as tables, and the picture of the skeleton."""
+    return {
+        "branches.csv": csv_bytes(network_columns(BRANCHES, scaled=scaled), net.branches),
+        "nodes.csv": csv_bytes(network_columns(NODES, scaled=scaled), net.nodes),
+        "skeleton.png": png_bytes(net.picture),
+    }
+
+
+def network_columns(columns: Iterable[str], *, scaled: bool) -> list[str]:
+    """Return the names of columns, in voxels where no size is known."""
+    return list(columns) if scaled else [name.replace("_um", "_voxels") for name in columns]
+
+
+def _branches(net: Network, report: Mapping[str, Any]) -> str:
+    order = sorted(net.branches, key=lambda row: -row[BRANCHES.index("length_um")])[:SHOWN_FEATURES]
+    columns = network_columns(BRANCHES, scaled=report["input"]["spacing_um"] is not None)
+    names = [" ".join(filter(None, (words, unit and f"({unit})"))) for words, unit in map(split_unit, columns)]
+    left = len(net.branches) - len(order)
+    more = f"{left} more are in branches.csv." if left else "They are in branches.csv, too."
+    return pages.table(names, order) + pages.paragraph(more)
 
 
 def _first_words(found: Measurement, report: Mapping[str, Any]) -> str:

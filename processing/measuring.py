@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from processing.facets import between_values, rounded
 from processing.features import Table, checked_count, in_voxels, measured
 from processing.labels import checked_labels, components
 from processing.masks import fill_holes
+from processing.measure_network import Network, network
 from processing.planes import Lazy, changed, side_of, surrounded
 from processing.stereology import Estimate, surface_ways, volume_fraction
 from processing.thresholds import Values, values_of
@@ -84,6 +85,8 @@ class Measurement:
         The plane of each axis in which most is inside.
     notes : list of str
         What must be said.
+    network : Network or None
+        The skeleton, where it was asked for.
     """
 
     known: Values | None
@@ -93,6 +96,7 @@ class Measurement:
     numbers: dict[str, Estimate]
     fullest: tuple[int, ...]
     notes: list[str] = field(default_factory=list)
+    network: Network | None = None
 
 
 def measure_volume(
@@ -203,6 +207,23 @@ def measure_features(
     if volume.spacing_um is None:
         table, numbers = in_voxels(table), in_voxels(numbers)
     return Measurement(given.known, given.threshold, labels, table, numbers, found.fullest, notes)
+
+
+def with_network(found: Measurement, volume: GreyVolume) -> Measurement:
+    """Add the skeleton of the features, which is found in memory.
+
+    Raises
+    ------
+    InputError
+        ``mask-full``: the features fill the volume.
+    """
+    cavities = int(found.numbers["cavities"].value)
+    net = network(found.labels[:], found.table["feature"], volume.spacing, cavities=cavities)
+    numbers, columns = net.numbers, net.columns
+    if volume.spacing_um is None:
+        numbers, columns = in_voxels(numbers), in_voxels(columns)
+    notes = [*found.notes, *net.notes]
+    return replace(found, table=found.table | columns, numbers=found.numbers | numbers, notes=notes, network=net)
 
 
 def _later(told: Callable[[int], None] | None, done: int) -> Callable[[int], None] | None:

@@ -84,20 +84,9 @@ def graph(
         ``mask-empty``, ``mask-full``, ``mask-needed``, ``spacing``; ``volume-shape``, ``volume-nan``.
     """
     inside = some_of(as_mask(volume), "thin")
-    spacing = checked_spacing(spacing_um or CUBIC)
-    depth = to_nearest(inside, spacing)
-    skeleton = thinned(inside)
-    net = Net.of(skeleton, depth, spacing)
-    for _ in range(MOST_ROUNDS):
-        short = net.to_prune(prune)
-        if not short.any():
-            break
-        skeleton[tuple(net.voxels[np.isin(net.path, np.flatnonzero(short))].T)] = False
-        skeleton = thinned(skeleton)
-        net = Net.of(skeleton, depth, spacing)
+    net, depth = net_of(inside, checked_spacing(spacing_um or CUBIC), prune)
     cavities = components(fill_voids.fill(inside) & ~inside, rule=6)[1]
-    kinds = np.zeros(inside.shape, np.uint8)
-    kinds[tuple(net.voxels.T)] = net.kinds()
+    kinds = net.kinds_in(inside.shape)
     parts, loops = net.parts_and_loops()
     return (
         kinds,
@@ -108,6 +97,21 @@ def graph(
         np.int64(loops),
         cavities,
     )
+
+
+def net_of(inside: Inside, spacing: Spacing, prune: float) -> tuple[Net, Array]:
+    """Return the skeleton of a mask as a graph, short branches cut, and how far it is to the surface everywhere."""
+    depth = to_nearest(inside, spacing)
+    skeleton = thinned(inside)
+    net = Net.of(skeleton, depth, spacing)
+    for _ in range(MOST_ROUNDS):
+        short = net.to_prune(prune)
+        if not short.any():
+            break
+        skeleton[tuple(net.voxels[np.isin(net.path, np.flatnonzero(short))].T)] = False
+        skeleton = thinned(skeleton)
+        net = Net.of(skeleton, depth, spacing)
+    return net, depth
 
 
 def thinned(inside: Inside) -> Inside:
@@ -262,6 +266,12 @@ class Net:
             kinds[free] = END
         return kinds
 
+    def kinds_in(self, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+        """Return the same as a volume, 0 where no skeleton is."""
+        kinds = np.zeros(shape, np.uint8)
+        kinds[tuple(self.voxels.T)] = self.kinds()
+        return kinds
+
     def rings(self) -> NDArray[np.int64]:
         """Return the branches that are closed in themselves."""
         tips = np.array([free.size for free in self.tips()], np.int64)
@@ -281,6 +291,14 @@ class Net:
             voxel = int(np.flatnonzero(self.path == ring)[0])
             nodes.append(("ring", place_um[voxel], 2, float(self.depth_um[voxel])))
         return nodes
+
+    def node_voxels(self) -> NDArray[np.int64]:
+        """Return the place of a voxel of each node, (n, 3), in the order of `nodes`."""
+        crossing = np.flatnonzero(self.cluster >= 0)
+        first = crossing[np.unique(self.cluster[crossing], return_index=True)[1]]
+        free = [voxels for voxels in self.tips() if voxels.size]
+        rings = [np.flatnonzero(self.path == ring)[:1] for ring in self.rings()]
+        return np.asarray(self.voxels[np.concatenate([first, *free, *rings])])
 
     def branches(self) -> list[tuple[str, int, int, int]]:
         """Return kind, nodes and number of each branch; single voxels are points and none."""
