@@ -192,16 +192,12 @@ class Data:
 def volume_of(path: Path) -> Volume:
     """Return a stack as a volume.
 
-    Of a run of sections with stacks, the middle plane of each, as deep as the feed read back; of a stack that ended
-    early, the planes that were taken.
+    Of a run of sections with stacks, the middle plane of each, as deep as the feed read back.
     """
     run = open_run(path) if is_run(path) else None
-    if run is None:
-        return load_volume(path)
-    if run.layout.sections > 1 and run.layout.planes_each > 1 and is_cut(run):
+    if run is not None and run.layout.sections > 1 and run.layout.planes_each > 1 and is_cut(run):
         return _faces(run)
-    begun = run.missing and run.layout.sections == 1 and len(run.layout.channels) < 2
-    return _begun(run) if begun else load_volume(path)
+    return load_volume(path)
 
 
 def _faces(run: StoredRun) -> Volume:
@@ -211,12 +207,6 @@ def _faces(run: StoredRun) -> Volume:
     if depth_nm is None or len(slots) < 2:
         return _planes(run, slots, 1.0)
     return _planes(run, slots, float(np.ptp(depth_nm)) / (len(slots) - 1) / NM_PER_UM)
-
-
-def _begun(run: StoredRun) -> Volume:
-    """Return the planes of a stack up to the first that is missing."""
-    taken = sorted(run.planes)
-    return _planes(run, [slot for place, slot in enumerate(taken) if slot == place], abs(run.layout.step_um))
 
 
 def _planes(run: StoredRun, slots: list[int], apart_um: float) -> Volume:
