@@ -84,13 +84,23 @@ def _is_in(run: StoredRun, slot: int, sections: range, band: int) -> bool:
 
 def _places(run: StoredRun, there: list[int], along: str) -> tuple[NDArray[np.float64] | None, list[str]]:
     if along == "stack":
-        return np.array([run.planes[slot].header.z_um for slot in there]), []
+        return _read_back(run, there)
     if along == "time":
         return None, []
     depth_nm, how = depths_nm(run, [run.layout.place(slot)[0] for slot in there])
     if depth_nm is None:
         return None, how
     return (depth_nm[0] - depth_nm) / NM_PER_UM, how  # the first face is the uppermost
+
+
+def _read_back(run: StoredRun, there: list[int]) -> tuple[NDArray[np.float64], list[str]]:
+    """Return where the stage was read back; where that tells planes not apart, where it was sent."""
+    headers = [run.planes[slot].header for slot in there]
+    z_um = np.array([header.z_um for header in headers])
+    if np.unique(z_um).size == z_um.size:
+        return z_um, []
+    words = "the stage read back one position for several planes: they are placed where it was sent."
+    return np.array([header.setpoint_um for header in headers]), [words]
 
 
 def depths_nm(run: StoredRun, sections: list[int]) -> tuple[NDArray[np.float64] | None, list[str]]:

@@ -133,3 +133,18 @@ def test_faces_make_a_volume_of_sections_with_stacks(tmp_path: Path, how) -> Non
             assert report["planes"] == [2] * 4
     with pytest.raises(InputError, match="has no sections"):
         faces(take(tmp_path / "time", interval_s=1.0), output=tmp_path / "no", quiet=True)
+
+
+def test_planes_closer_than_the_stage_can_tell_lie_where_it_was_sent(tmp_path: Path) -> None:
+    layout = FocalArray(5, (8, 8), "uint16", 0.0, 0.05, 0.5)
+    store = RunStore.create(tmp_path / "run", {"plan_id": "t", "name": "t", "plan": {}}, layout, SystemClock())
+    for plane in (0, 1, 2, 4):  # 3 is lost
+        sent_um = 0.05 * plane
+        header = FrameHeader(plane, sent_um, round(sent_um, 1), 5.0)
+        store.put(Frame(plane, header, np.full((8, 8), 100 * plane, np.uint16)))
+    store.finalise(RunEnd.CANCELLED)
+    store.close()
+    stack = open_stack(tmp_path / "run")
+    assert stack.z_um == pytest.approx([0.0, 0.05, 0.1, 0.2])
+    assert any("placed where it was sent" in note for note in stack.notes)
+    assert load_volume(tmp_path / "run").bands[0].values[0, 0, 0] == 400, "the highest plane is nearest to the viewer"
