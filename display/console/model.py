@@ -18,7 +18,7 @@ from display.console.journal import words_of
 from display.console.knife_work import KnifeWork
 from display.console.moving import Jogger, Marks
 from display.console.placing import Placing, enlarged
-from display.console.run_queue import RunQueue
+from display.console.run_queue import RunQueue, queue_file
 from display.console.settings import settings_folder
 from display.console.stack_form import Advice, StackForm, advice
 from display.console.sticks import Stick
@@ -86,7 +86,7 @@ class Console:
         self.shows = self.front = ""
         self.full_screen = False
         self.jogger = Jogger(chosen=min(max(settings.jog, 0), 4))
-        self.form = StackForm(folder=settings.folder, operator=settings.operator)
+        self.form = StackForm(folder=settings.folder, operator=settings.operator, notify=settings.notify)
         self.notice = ""
         self.planned: replies.Planned | StereotomeError | None = None
         self.reviewing = False
@@ -180,6 +180,7 @@ class Console:
         """Do what is due: take answers, send what wheel and keys asked for, plan what the form says."""
         self.bench.settle()
         self.alarms.tick()
+        self._keep_queue()
         self.queue.tick(self)
         self._follow()
         self._stick_due()
@@ -187,6 +188,17 @@ class Console:
         self._plan_due()
         if self.tour is not None:
             self.tour.tick(self)
+
+    def _keep_queue(self) -> None:
+        """Take over the queue of this instrument with the command over it, and keep it in a file from then on."""
+        rig = self.bench.rig
+        if rig is None or not self.bench.commands:
+            self.queue.leave()
+            return
+        try:
+            self.queue.keep(queue_file(settings_folder(), rig.name))
+        except OSError as error:
+            self.journal.add("error", "queue", f"it cannot be kept: {error}")
 
     def _follow(self) -> None:
         seen = self.eyes.seen
@@ -403,4 +415,5 @@ class Console:
             setattr(self.settings, name, getattr(self.contrast, name))
         self.settings.stick_um_s = self.stick.top_um_s
         self.settings.jog = self.jogger.chosen
-        self.settings.folder, self.settings.operator = self.form.folder, self.form.operator
+        for name in ("folder", "operator", "notify"):
+            setattr(self.settings, name, getattr(self.form, name))

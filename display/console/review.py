@@ -108,22 +108,36 @@ class Drawn:
         """Size of a pixel of the picture in the screen plane."""
         return fitting_pixel_um(self.scene, self.wish.size)
 
+    @property
+    def _corner_px(self) -> NDArray[np.float64]:
+        """Where the corner of the data lies in a flat picture, (x, y) in pixels."""
+        middle_um = self._most_um / 2 + np.array(self.scene.view.centre_um[:2])
+        return np.asarray(np.array(self.wish.size) / 2 - middle_um / self.pixel_um)
+
+    @property
+    def _most_um(self) -> NDArray[np.float64]:
+        """Width and height of the data."""
+        return np.asarray(self.scene.layers[0].data.size_um[:2], np.float64)
+
+    def ends_um(self, line: Line) -> NDArray[np.float64]:
+        """Return the ends of a line between two pixels (x, y), (2, 2), as far as the data go, from their corner on."""
+        return np.asarray(np.clip((np.array(line) - self._corner_px) * self.pixel_um, 0, self._most_um))
+
+    def ends_px(self, line: Line) -> NDArray[np.float64]:
+        """Return these ends in the picture, (2, 2)."""
+        return np.asarray(self._corner_px + self.ends_um(line) / self.pixel_um)
+
     def length_um(self, line: Line) -> float:
-        """Return the length of a line between two pixels (x, y) of a flat picture."""
-        (x0, y0), (x1, y1) = line
-        return float(np.hypot(x1 - x0, y1 - y0)) * self.pixel_um
+        """Return the length of a line between two pixels (x, y) of a flat picture, as far as the data go."""
+        return float(np.hypot(*np.diff(self.ends_um(line), axis=0)[0]))
 
     def profile(self, line: Line) -> Profile | None:
         """Return heights along a line between two pixels (x, y) of a range picture; None in other pictures."""
         data = self.scene.layers[0].data
         if self.wish.shown.mode != "range" or not isinstance(data, Relief):
             return None
-        middle = data.size_um[:2] / 2
-        half = np.array(self.wish.size) / 2
-        start, end = (middle + (np.array(place) - half) * self.pixel_um for place in line)
-        most = data.size_um[:2]
-        ends = [tuple(float(v) for v in np.clip(place, 0, most)) for place in (start, end)]
-        return profile(data.heights, (ends[0], ends[1]))  # type: ignore[arg-type]
+        (x0, y0), (x1, y1) = self.ends_um(line).tolist()
+        return profile(data.heights, ((x0, y0), (x1, y1)))
 
 
 class Data:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import json
+import re
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
 from acquire import replies, requests
 from acquire.state import FINAL, RunState
 from devices.errors import StereotomeError
+from processing.outputs import write_durably
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from display.console.model import Console
 
 GOOD = RunState.COMPLETED
@@ -24,9 +29,23 @@ class Queued:
     recipe: str
 
 
+def queue_file(folder: Path, instrument: str) -> Path:
+    """Return the file in which the runs that wait for an instrument are kept."""
+    return folder / f"queue-{re.sub(r'[^A-Za-z0-9._-]', '_', instrument)[:60]}.json"
+
+
+def stored(file: Path) -> list[Queued]:
+    """Return the runs kept in a file; none where it is not there, or is no such file."""
+    try:
+        told = json.loads(file.read_text(encoding="utf-8"))
+        return [Queued(str(each["name"]), str(each["recipe"])) for each in told]
+    except (OSError, ValueError, TypeError, KeyError):
+        return []
+
+
 @dataclass
 class RunQueue:
-    """Runs that wait their turn; lives as long as this console.
+    """Runs that wait their turn; kept in a file, so that they outlive this console.
 
     Attributes
     ----------
@@ -41,8 +60,33 @@ class RunQueue:
     waiting: list[Queued] = field(default_factory=list)
     going: bool = False
     held: str = ""
+    _file: Path | None = None
+    _known: list[Queued] = field(default_factory=list)
     _asked: bool = False
     _number: int = 0
+
+    def keep(self, file: Path) -> None:
+        """Write each change into a file; what another console left in it is taken over, and starts when told to.
+
+        Raises
+        ------
+        OSError
+            It cannot be written; not tried again before the next change.
+        """
+        if self._file != file:
+            self._file, left = file, stored(file)
+            if left != self._known:
+                added = [each for each in self.waiting if each not in self._known]
+                self.waiting, self.going, self.held = left + added, False, "these were left by another console"
+            self._known = left
+        if self._known != self.waiting:
+            self._known = list(self.waiting)
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_durably(file, json.dumps([asdict(each) for each in self.waiting], ensure_ascii=False).encode())
+
+    def leave(self) -> None:
+        """Leave the file alone while this console does not command: another one may change it."""
+        self._file = None
 
     def add(self, name: str, recipe: str) -> None:
         """Let a recipe wait behind the others."""

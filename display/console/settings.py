@@ -36,6 +36,7 @@ class Settings:
     log_level: Level = "info"
     folder: str = "data/{date}/{name}-{run:03d}"
     operator: str = ""
+    notify: str = ""
     snapshots: str = "snapshots"
     sound: bool = True
     stick_um_s: float = 100.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -14,6 +15,9 @@ if TYPE_CHECKING:
 
 Spacing = Literal["planes", "step", "nyquist", "dof"]
 SPACINGS: tuple[Spacing, ...] = ("planes", "step", "nyquist", "dof")
+ON_QUALITY = ("pause", "accept")
+ON_ERROR = ("pause", "park-and-stop", "continue")
+NM_PER_UM = 1000
 RETURNS = ("start", "middle", "park", "stay")
 Direction = Literal["up", "down"]
 
@@ -23,19 +27,30 @@ class SectionsForm:
     """Sections to cut, as ``[sections]`` of a recipe."""
 
     wanted: bool = False
+    by_depth: bool = False
     count: int = 10
+    depth_um: float = 1.0
     thickness_nm: float = 100.0
     cut_first: bool = True
     sweeps: int = 3
     autofocus_every: int = 0
+    on_quality: str = "pause"
+    on_error: str = "pause"
+
+    @property
+    def number(self) -> int:
+        """How many sections are cut: as many as asked for, or as go into the depth."""
+        return int(self.depth_um * NM_PER_UM / self.thickness_nm + 1e-9) if self.by_depth else self.count
 
     def table(self) -> dict[str, Any]:
         """Return the recipe's table."""
         return {
-            "count": self.count,
+            **({"depth_um": float(self.depth_um)} if self.by_depth else {"count": self.count}),
             "thickness_nm": float(self.thickness_nm),
             "cut_then_image": self.cut_first,
             "autofocus_every": self.autofocus_every,
+            "on_quality": self.on_quality,
+            "on_error": self.on_error,
             "debris_check": {"on_debris": "recut", "sweeps": self.sweeps} if self.sweeps else {"on_debris": "pause"},
         }
 
@@ -54,11 +69,12 @@ class StackForm:
     planes: int = 21
     step_um: float = 1.0
     direction: Direction = "up"
-    return_to: str = "start"
+    return_to: str = "middle"  # back where it was: a stack around here does not wander when it is repeated
     exposure_ms: float | None = None
     focus: bool = True
     stereo: bool = True
     keep_free_gb: float = 1.0
+    notify: str = ""
     sections: SectionsForm = field(default_factory=SectionsForm)
 
     def recipe(self) -> str:
@@ -77,6 +93,8 @@ class StackForm:
             tables["process"] = {"extended_focus": True, "range_image": True}
             if self.stereo:
                 tables["process"]["stereo_pair"] = {"angle_deg": 6.0}
+        if self.notify.strip():
+            tables["watch"] = {"notify": {"command": words_of_command(self.notify)}}
         if self.sections.wanted:
             tables["sections"] = self.sections.table()
         return toml_text(tables)
@@ -95,6 +113,14 @@ class StackForm:
                 return {"step": float(self.step_um)}
             case "nyquist" | "dof":
                 return {"step": self.spacing}
+
+
+def words_of_command(text: str) -> list[str]:
+    """Return the words of a command as a shell takes them; with a quotation that does not end, as they stand."""
+    try:
+        return shlex.split(text)
+    except ValueError:
+        return text.split()
 
 
 @dataclass(frozen=True)

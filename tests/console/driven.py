@@ -104,7 +104,7 @@ def first_run(hand):
     hand.click("//Stack/Abort")
     hand.wait_state("CANCELLED")
     assert 0 < console.run.durable < 400
-    hand.at(-10.0)
+    hand.at(0.0)
     hand.enter("//Stack/planes", 6)
     hand.wait(lambda: getattr(console.planned, "planes", 0) == 6)
     hand.click("//Stack/Queue")

@@ -23,6 +23,7 @@ from display.console.keys import BINDINGS
 from display.console.model import Console
 from display.console.moving import Jogger, Marks
 from display.console.review import Drawn, Wish
+from display.console.run_queue import RunQueue, queue_file
 from display.console.stack_form import Advice, SectionsForm, StackForm
 from display.console.tour import STEPS, Tour
 from display.controls import Shown
@@ -293,6 +294,18 @@ def test_a_line_over_a_range_image_is_measured_in_um():
     assert found.height[0] == pytest.approx(0.5 * (79 * pixel_um / 2 - length_um / 2), rel=1e-4)
 
 
+def test_a_line_ends_where_the_data_end_and_moves_with_the_picture():
+    heights = Heights(np.zeros((60, 80), np.float32), (0.5, 0.5))
+    scene = Scene((Layer(Relief(heights), "isometric"),))
+    drawn = Drawn(Wish("run", Shown(("range",), 1, mode="range"), (400, 300)), np.zeros((300, 400, 3), np.uint8), scene)
+    across = ((-50, 150), (900, 150))
+    assert drawn.length_um(across) == pytest.approx(Relief(heights).size_um[0])
+    moved = replace(drawn, scene=replace(scene, view=replace(scene.view, centre_um=(3.0, 0.0, 0.0))))
+    at = ((200, 150), (300, 150))
+    np.testing.assert_allclose(moved.ends_um(at)[0] - drawn.ends_um(at)[0], (3.0, 0.0), atol=1e-9)
+    np.testing.assert_allclose(moved.ends_px(at), at)
+
+
 def run_view(number, state):
     return replies.RunView(
         number=number, name="r", folder="/d", state=state, phase="", section=0, sections=1, plane=0, planned=3,
@@ -353,6 +366,41 @@ def test_a_queue_waits_while_nothing_may_move_and_is_held_by_a_refusal(console):
     starts(console)[0][1](StereotomeError("the disk is full.", code="disk-full"))
     console.tick()
     assert (len(starts(console)), console.queue.held, len(console.queue.waiting)) == (1, "the disk is full.", 1)
+
+
+def test_what_waits_is_kept_for_the_next_console_and_goes_on_after_a_silence(tmp_path):
+    file = queue_file(tmp_path, "a/b bench")
+    before, after = RunQueue(), RunQueue()
+    before.add("one", "text 1")
+    before.keep(file)
+    before.going = True
+    before.leave()  # the instrument fell silent
+    before.keep(file)
+    assert before.going
+    after.add("mine", "text 2")
+    after.keep(file)
+    assert [each.name for each in after.waiting] == ["one", "mine"]
+    assert after.held
+    assert not after.going
+    before.leave()
+    before.keep(file)  # back in command, after another console changed it
+    assert (before.waiting, before.going) == (after.waiting, False)
+    file.write_text('[{"name": 3}, 1')
+    broken = RunQueue()
+    broken.keep(file)
+    assert not broken.waiting
+
+
+def test_sections_by_depth_are_as_many_as_the_instrument_makes_of_it_and_a_command_is_told():
+    form = StackForm(notify="notify-send 'a run' {event}")
+    form.marks = Marks(top_um=1.0, bottom_um=0.0)
+    form.sections = SectionsForm(wanted=True, by_depth=True, depth_um=1.4, thickness_nm=70.0, on_error="park-and-stop")
+    recipe = recipe_from_text(form.recipe(), "form")
+    assert recipe.sections.sections == form.sections.number == 20
+    assert recipe.sections.on_error == "park-and-stop"
+    assert recipe.watch.notify.command == ("notify-send", "a run", "{event}")
+    form.notify = "it's open"
+    assert recipe_from_text(form.recipe(), "form").watch.notify.command == ("it's", "open")
 
 
 def test_alarms_stay_until_they_are_seen_and_sound_once(console, monkeypatch):

@@ -124,6 +124,8 @@ def _contrast(console: Console) -> None:
     _, paint = imgui.checkbox("hatch the ends", contrast.paint)
     imgui.same_line()
     _, console.settings.crosshair = imgui.checkbox("cross", console.settings.crosshair)
+    imgui.same_line()
+    _, console.settings.scale_bar = imgui.checkbox("bar", console.settings.scale_bar)
     console.contrast = replace(console.contrast, table=table, paint=paint)
 
 

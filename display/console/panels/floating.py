@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
@@ -66,7 +67,7 @@ def review_words(console: Console) -> list[str]:
         lines.append(f"camera: {state.camera}, {form.exposure_ms or state.exposure_ms:g} ms")
     if form.sections.wanted:
         sections = form.sections
-        lines.append(f"CUTS {sections.count} sections of {sections.thickness_nm:g} nm: this cannot be undone")
+        lines.append(f"CUTS {sections.number} sections of {sections.thickness_nm:g} nm: this cannot be undone")
     return [*lines, f"notes: {form.notes or '-'}"]
 
 
@@ -101,14 +102,17 @@ def alarms(console: Console) -> None:
 
 def key_list(console: Console) -> None:
     """Draw what the keys do."""
-    imgui.set_next_window_size(w.em(32, 0), imgui.Cond_.appearing)
+    imgui.set_next_window_size(w.em(64, 0), imgui.Cond_.appearing)
+    middle = imgui.get_main_viewport().get_center()
+    imgui.set_next_window_pos(middle, imgui.Cond_.appearing, imgui.ImVec2(0.5, 0.5))
     _, opened = imgui.begin("Keys", True)  # noqa: FBT003  the library's
     console.shows_keys = bool(opened)
-    if imgui.begin_table("keys", 2):
-        for shown, words in (*((binding.shown, binding.words) for binding in BINDINGS), *ALSO):
-            imgui.table_next_column()
-            imgui.text(shown)
-            imgui.table_next_column()
-            imgui.text(words)
+    listed = [*((binding.shown, binding.words) for binding in BINDINGS), *ALSO]
+    half = (len(listed) + 1) // 2
+    if imgui.begin_table("keys", 4, imgui.TableFlags_.sizing_stretch_prop):
+        for left, right in zip_longest(listed[:half], listed[half:], fillvalue=("", "")):
+            for text in (*left, *right):
+                imgui.table_next_column()
+                w.words(text)
         imgui.end_table()
     imgui.end()

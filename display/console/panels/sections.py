@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 from imgui_bundle import imgui
 
 from display.console.panels import widgets as w
+from display.console.stack_form import NM_PER_UM, ON_ERROR, ON_QUALITY
 
 if TYPE_CHECKING:
     from acquire.replies import Question
     from display.console.model import Console
-
-NM_PER_UM = 1000
 
 
 def draw(console: Console) -> None:
@@ -48,11 +47,18 @@ def _form(console: Console) -> None:
     form = console.form.sections
     _, form.wanted = imgui.checkbox("cut sections, a stack of each face", form.wanted)
     form.thickness_nm = max(1.0, w.number("nm thick", form.thickness_nm, 6, "%.0f")[1])
-    form.count = w.whole("sections", form.count, 1, 1_000_000)
-    imgui.text_colored(w.GREY, f"{form.count * form.thickness_nm / NM_PER_UM:.2f} µm in all")
+    if form.by_depth:
+        form.depth_um = max(0.001, w.number("µm in all", form.depth_um, 7, "%.3f")[1])
+    else:
+        form.count = w.whole("sections", form.count, 1, 1_000_000)
+    imgui.same_line()
+    _, form.by_depth = imgui.checkbox("by depth", form.by_depth)
+    imgui.text_colored(w.GREY, f"{form.number} sections, {form.number * form.thickness_nm / NM_PER_UM:.2f} µm in all")
     _, form.cut_first = imgui.checkbox("cut before the first image", form.cut_first)
     form.sweeps = w.whole("wipes at debris (0 asks)", form.sweeps, 0, 10)
     form.autofocus_every = w.whole("between autofocus (0 never)", form.autofocus_every, 0, 1000)
+    form.on_quality = w.choice("odd picture", ON_QUALITY, form.on_quality, 6)
+    form.on_error = w.choice("something fails", ON_ERROR, form.on_error, 8)
 
 
 def _by_hand(console: Console) -> None:

@@ -39,6 +39,8 @@ def _notes(console: Console) -> None:
         console.note(form.notes)
     console.settings.snapshots = w.text_field("snapshots go to", console.settings.snapshots, 10)
     _, console.settings.sound = imgui.checkbox("a sound at alarms", console.settings.sound)
+    imgui.text("a command, run at the end and when a run asks")
+    form.notify = w.text_field("##notify", form.notify, 20)
     why_not = "a run has the devices" if console.running else ""
     if w.button("Start the instrument anew", why_not, "its process, and with it all devices that were lost"):
         console.bench.start_anew()

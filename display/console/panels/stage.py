@@ -21,8 +21,8 @@ def draw(console: Console) -> None:
     _steps(console, why_not)
     _target(console, why_not)
     imgui.separator_text("marks of the stack")
-    for end, label in (("top", "top   "), ("bottom", "bottom")):
-        _mark(console, end, label, why_not)
+    for end in ("top", "bottom"):
+        _mark(console, end, why_not)
     if console.notice:
         w.words(f"! {console.notice}", w.ORANGE)
 
@@ -93,7 +93,7 @@ def _target(console: Console, why_not: str) -> None:
             console.park()
 
 
-def _mark(console: Console, end: str, label: str, why_not: str) -> None:
+def _mark(console: Console, end: str, why_not: str) -> None:
     value = getattr(console.form.marks, f"{end}_um")
     imgui.push_id(end)
     if w.button("Set", "" if console.state is not None else "no position is known", f"{end} is here: {end[0].upper()}"):
@@ -102,5 +102,7 @@ def _mark(console: Console, end: str, label: str, why_not: str) -> None:
     if w.button("Visit", why_not or ("" if value is not None else f"{end} is not set"), f"Ctrl+{end[0].upper()}"):
         console.visit(end)
     imgui.same_line()
-    imgui.text(f"{label} " + ("-" if value is None else f"{value:+.2f} µm"))
+    typed, z_um = w.number(f"{end}, µm" + ("" if value is not None else ": not set") + "###z", value or 0.0, 6, "%+.2f")
+    if typed:
+        setattr(console.form.marks, f"{end}_um", round(z_um, 3))
     imgui.pop_id()
