@@ -14,7 +14,7 @@ import numpy as np
 
 from devices.errors import DisplayError
 from display.stereo import COMFORTABLE_SHARE, WIDEST_ANGLE_DEG, angle_warnings, parallax_warnings
-from processing.focus_kernels import compiled
+from processing.compiled import compiled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

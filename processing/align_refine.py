@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
-import numba
 import numpy as np
+
+from processing.compiled import kept
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,7 +22,7 @@ MARGIN = 2  # pixels from the border where gradients and cubic interpolation hav
 
 def compiled(function: Function) -> Function:
     """Compile to machine code on first call, sums in any order, and keep it on disk."""
-    return cast("Function", numba.njit(cache=True, nogil=True, fastmath=True)(function))
+    return kept(function, fastmath=True)
 
 
 @compiled

@@ -5,27 +5,18 @@ They are table-driven, single-threaded and cached on disk; `processing.focus` gi
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
-import numba
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from typing import TypeVar
+from processing.compiled import compiled
 
-    Function = TypeVar("Function", bound=Callable[..., Any])
-    Array = np.ndarray[Any, Any]
+Array = np.ndarray[Any, Any]
 
 SAMPLES = 5  # sharpness kept around the peak of a pixel: two planes before it, itself, two after
 CENTRE = SAMPLES // 2
 BLOCK = 64  # pixels gathered or skipped together
 SOBEL_GAIN = 8.0
-
-
-def compiled(function: Function) -> Function:
-    """Compile to machine code on first call and keep it on disk."""
-    return cast("Function", numba.njit(cache=True, nogil=True)(function))
 
 
 @compiled

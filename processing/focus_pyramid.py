@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from processing.focus_kernels import compiled
+from processing.compiled import compiled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from devices.errors import InputError
-from processing.focus_kernels import compiled
+from processing.compiled import compiled
 from processing.operators import Layer, like, operator
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from processing.focus_kernels import compiled
+from processing.compiled import compiled
 
 if TYPE_CHECKING:
     Array = np.ndarray[Any, Any]

@@ -12,7 +12,7 @@ import numpy as np
 
 from devices.errors import InputError
 from processing import stereo_kernels as kernels
-from processing.focus_kernels import compiled
+from processing.compiled import compiled
 from processing.stereo_interest import dark_markers, interesting_points
 from processing.stereo_match import (
     REACH_PX,

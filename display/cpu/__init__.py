@@ -6,9 +6,8 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import TYPE_CHECKING, Any
-from typing import cast as as_type
 
-import numba
+from processing.compiled import kept
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 ROWS = 16  # of a picture, done by one thread at a time
 
 
-OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": True, "error_model": "numpy", "_nrt": False}
+OPTIONS: dict[str, Any] = {"fastmath": True, "error_model": "numpy", "_nrt": False}
 
 
 def fast(function: Function) -> Function:
@@ -27,12 +26,12 @@ def fast(function: Function) -> Function:
 
     Arrays that are handed on are not counted (``_nrt``): counting takes longer than a sample.
     """
-    return as_type("Function", numba.njit(**OPTIONS)(function))
+    return kept(function, **OPTIONS)
 
 
 def inlined(function: Function) -> Function:
     """Compile as `fast` does, into whatever calls it: to hand many arrays on takes longer than a few samples."""
-    return as_type("Function", numba.njit(**OPTIONS, forceinline=True)(function))
+    return kept(function, **OPTIONS, forceinline=True)
 
 
 @cache
