@@ -166,7 +166,8 @@ class Eyes:
                     self.rate_hz *= 1.0 if now_s - before_s < STILL_S else 0.0
                     continue
                 number += 1
-                self.rate_hz += 0.2 * (1 / max(now_s - before_s, 1e-3) - self.rate_hz)
+                apart_s = 1 / self.rate_hz if self.rate_hz else now_s - before_s
+                self.rate_hz = 1 / max(apart_s + 0.1 * (now_s - before_s - apart_s), 1e-3)
                 before_s = now_s
                 self._take(look(number, frame.pixels, frame.header, self._top()))
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from imgui_bundle import hello_imgui, imgui, immapp
 
+from acquire.state import FINAL
 from acquire.words import took
 from devices.errors import DisplayError
 from display.console.keys import BINDINGS
@@ -289,6 +290,8 @@ def _progress(console: Console, run: Any) -> None:
     imgui.text_colored(colour, f"{run.state} · {section}{run.durable}/{run.planned} planes{left}")
     imgui.progress_bar(run.durable / max(run.planned, 1), w.em(8, 0), "")
     why_not = "" if console.bench.commands else "this console does not command"
+    if run.state in FINAL:
+        return
     if run.state == "PAUSED":
         if w.button("Resume##menu", why_not):
             console.resume()

@@ -18,6 +18,8 @@ from display.console.moving import Marks
 from display.console.sticks import Scripted
 from display.console.tour import Tour
 
+SHORT = 41 if os.environ.get("STEREOTOME_PICTURES") else 6  # planes
+
 
 def first_start(hand):
     """Find out who is at a port, describe the bench, and see its live picture."""
@@ -104,12 +106,16 @@ def first_run(hand):
     hand.click("//Stack/Abort")
     hand.wait_state("CANCELLED")
     assert 0 < console.run.durable < 400
+    hand.wait(lambda: not console.running)
     hand.at(0.0)
-    hand.enter("//Stack/planes", 6)
-    hand.wait(lambda: getattr(console.planned, "planes", 0) == 6)
+    hand.enter("//Stack/planes", SHORT)
+    hand.ctx.item_check("//Stack/extended focus and range")
+    hand.wait(lambda: getattr(console.planned, "planes", 0) == SHORT)
     hand.click("//Stack/Queue")
     hand.click("//Stack/Start the queue")
     hand.wait(lambda: console.run.number == 2 and console.run.state == "COMPLETED" and not console.running)
+    range_image(hand)
+    hand.ctx.item_uncheck("//Stack/extended focus and range")
     by_stick(hand)
     files(hand)
     stops(hand)
@@ -124,6 +130,21 @@ def first_run(hand):
     hand.wait(lambda: not console.state.live)
     glasses(hand)
     crash(hand)
+
+
+def range_image(hand):
+    """Measure along a line through the range image of the last run, by the keyboard."""
+    console, reviewer = hand.console, hand.window.review.reviewer
+    hand.key(KEY._3)
+    hand.wait(lambda: reviewer.problem or (reviewer.drawn and reviewer.drawn.wish.shown == console.viewing.shown))
+    assert not reviewer.problem
+    hand.key(KEY.l)
+    hand.wait(lambda: "height" in console.measured)
+    rig = console.bench.rig
+    wide_um = rig.object_pixel_um * (rig.camera.size_px[0] - 1)
+    assert console.measured.startswith(f"{wide_um:.2f} µm")
+    hand.shot("console_range")
+    hand.key(KEY._1)
 
 
 def part_of_the_frame(hand):
@@ -153,7 +174,7 @@ def troubles(hand):
     hand.wait(lambda: console.stopped)
     hand.shot("console_silent")
     os.kill(server, signal.SIGCONT)
-    hand.wait(lambda: console.bench.commands and console.state.stopped)
+    hand.wait(lambda: console.bench.commands and console.state.stopped and not console.bench.stop_asked)
     hand.click(MENU, "Release")
     hand.wait(lambda: not console.stopped)
     other_frames(hand)

@@ -122,7 +122,8 @@ def cost_words(planned: Planned) -> list[str]:
 
 
 def _under_way(console: Console, run: RunView) -> None:
-    imgui.text(f"{run.name}: {run.state}" + ("" if run.state == "PAUSED" else f", {run.phase}"))
+    still = run.state == "PAUSED" or run.state in FINAL
+    imgui.text(f"{run.name}: {run.state}" + ("" if still else f", {run.phase}"))
     w.words(run.folder, w.GREY)
     if run.sections > 1:
         imgui.progress_bar(
@@ -132,8 +133,11 @@ def _under_way(console: Console, run: RunView) -> None:
         run.durable / max(run.planned, 1), overlay=f"{run.durable} of {run.planned} planes safe", size_arg=w.em(-0.1, 0)
     )
     imgui.text(f"taken {run.taken}" + (f", missed {run.missed}" if run.missed else ""))
-    imgui.text("time left " + ("?" if run.left_s is None else took(run.left_s)))
-    transport(console, run)
+    if run.state in FINAL:
+        w.words("nothing more is taken; what is computed of it is being written", w.BLUE)
+    else:
+        imgui.text("time left " + ("?" if run.left_s is None else took(run.left_s)))
+        transport(console, run)
     if run.pausing and run.state != "PAUSED":
         w.words(f"pauses {SCOPE_WORDS.get(run.pausing, run.pausing)}", w.BLUE)
     queue(console)
