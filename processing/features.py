@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 Table = dict[str, Any]  # of arrays, a column each
 MOST_FEATURES = 2_000_000  # a table of more rows is noise that was labelled
 AT_ONCE = 8192  # features whose outermost voxels are kept at once
-FEWEST_FOR_FACETS = 27  # voxels: smaller features are cut by triangles to less than they are
+FEW_VOXELS = 27  # triangles cut smaller features to less than they are, and their shapes are those of voxels
 AXES = "zyx"
 SPHERE = 36 * np.pi  # S³ / V² of a ball
 
@@ -243,9 +243,9 @@ def measured(
 
 def _sizes(found: Sums, spacing: Spacing, spans: Reach, facets: FacetSums | None, cut: Array) -> Table:
     volume, crofton = found.sums[:, 0] * np.prod(spacing), found.area_um2
-    fine = np.zeros(len(volume), bool) if facets is None else found.sums[:, 0] >= FEWEST_FOR_FACETS
+    fine = np.zeros(len(volume), bool) if facets is None else found.sums[:, 0] >= FEW_VOXELS
     area = np.where(fine, 0 if facets is None else facets.area_um2[found.labels], crofton)
-    known = np.where((area > 0) & ~cut, area, np.nan)  # shape needs all of the surface
+    known = np.where((area > 0) & ~cut & (found.sums[:, 0] >= FEW_VOXELS), area, np.nan)  # shape needs all the surface
     return {
         "volume_um3": volume,
         "surface_um2": area,

@@ -134,5 +134,7 @@ def _columns(features: Array, owners: Array, kinds: Array, cut: Array, ends: Arr
 def _notes(cavities: int) -> list[str]:
     if not cavities:
         return []
-    words = "cavities cannot be thinned to lines: shells around them count as nodes, and loops of the skeleton are"
-    return [f"{cavities} {words} wrong; fill them first: --fill, or morphology.close before."]
+    words = (
+        "cavities cannot be thinned to lines: shells around them count as nodes, and loops of the skeleton are wrong"
+    )
+    return [f"{words} ({cavities} cavities); fill them first: --fill."]

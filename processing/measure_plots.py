@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from processing.pictures import DOTS_PER_INCH, captioned, nice_length, png_bytes, preview
 from processing.planes import cut
@@ -33,11 +33,12 @@ GAP_PX = 6
 BAR_PX = 6  # wide, and away from the corner
 GOLDEN = 0.381966  # of a turn: hues that stay apart
 PLOT_INCH = (5.2, 3.6)
-MARGINS = {"left": 0.16, "right": 0.97, "bottom": 0.14, "top": 0.91}
+MARGINS = {"left": 0.16, "right": 0.95, "bottom": 0.14, "top": 0.91}
 SVG_SEED = "stereotome"  # names within an SVG file stay the same from run to run
 WIDE = 10.0  # sizes that differ more are drawn by their logarithms
+ROUND, ROUND_UP_TO = (1.0, 2.0, 5.0), 300.0  # ticks, where sizes do not differ by more
 KINDS = ["whole", "cut by the border"]
-UNKNOWN_SHAPES = "the border cuts every feature:\nno shape is known"
+UNKNOWN_SHAPES = "no shape is known: the border cuts\nthe features, or they have too few voxels"
 INSIDE, BORDER, LINE = "#2166ac", "#b2182b", "#d95f02"
 
 
@@ -53,7 +54,11 @@ def cuts(grey: Planes, labels: Planes, fullest: tuple[int, ...], spacing_um: Spa
     length = nice_length(labels.shape[2] * spacing_um[2] / 3)
     _bar(whole, xy.shape[0], max(1, round(length * _scale(labels.shape, spacing_um))))
     places = ", ".join(f"{axis} = {place}" for axis, place in zip("zyx", fullest, strict=True))
-    return png_bytes(captioned(whole, f"bar: {length:g} {unit}; cut at {places} (voxels from 0)"))
+    return png_bytes(captioned(whole, f"bar: {_words(length, unit)}; cut at {places} (voxels from 0)"))
+
+
+def _words(length: float, unit: str) -> str:
+    return f"{length / 1000:g} mm" if unit == "µm" and length >= 1000 else f"{length:g} {unit}"
 
 
 def _bar(picture: Array, below: int, length_px: int) -> None:
@@ -149,6 +154,9 @@ def _sizes_along(axes: Axes, diameters: Array, unit: str) -> tuple[float, float,
     if wide:
         axes.set_xscale("log")
         axes.set_xlim(low / 1.2, high * 1.2)
+        axes.xaxis.set_major_locator(LogLocator(subs=ROUND if high < ROUND_UP_TO * low else (1.0,)))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
     return low, high, wide
 
 
@@ -160,9 +168,9 @@ def size_and_shape(diameters: Array, sphericity: Array, at_border: NDArray[np.bo
         known = np.isfinite(sphericity) & ~at_border
         axes.plot(diameters[known], sphericity[known], ".", color=INSIDE, markersize=4)
         axes.axhline(1, color="#999999", linewidth=0.8)
-        axes.set(ylabel="sphericity", title=f"Size and shape of {np.count_nonzero(known)} features within")
+        axes.set(ylabel="sphericity", title=f"Size and shape of {np.count_nonzero(known)} features")
         if not known.any():
-            axes.text(0.5, 0.5, UNKNOWN_SHAPES, ha="center", va="center", transform=axes.transAxes)
+            axes.text(0.5, 0.3, UNKNOWN_SHAPES, ha="center", va="center", transform=axes.transAxes)
         axes.margins(y=0.1)
 
     return plotted(draw, "size_and_shape")

@@ -37,7 +37,7 @@ CAPTIONS = {
     "(below, planes from above); features outlined.",
     "grey_values.png": "Grey values of all voxels; the line is the threshold.",
     "sizes.png": "Sizes of the features.",
-    "size_and_shape.png": "Shape over size of the features that the border does not cut; 1 is a ball.",
+    "size_and_shape.png": "Shape over size of features that the border does not cut, from 27 voxels on; 1 is a ball.",
     "skeleton.png": "The skeleton seen along z: branches white, nodes red, ends yellow.",
     "ball_sizes.png": "Sizes of balls from the circles of the planes, with standard errors; the line is their mean.",
 }

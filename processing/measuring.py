@@ -10,7 +10,7 @@ import numpy as np
 from devices.errors import InputError
 from processing.facet_sums import FacetSums, facet_sums
 from processing.facets import between_values, rounded
-from processing.features import Table, checked_count, in_voxels, measured
+from processing.features import FEW_VOXELS, Table, checked_count, in_voxels, measured
 from processing.labels import checked_labels, components
 from processing.masks import fill_holes
 from processing.measure_network import Network, network
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
 ROUNDED = 0.5
 ROUNDED_REACH = 4  # planes that rounding looks up and down
-FEW_VOXELS = 27  # shapes of smaller features are those of voxels
 ANISOTROPIC = 5.0  # surfaces of voxels so much deeper than wide are uncertain
 
 
@@ -322,10 +321,10 @@ def _warnings(table: Table, found: Whole, spacing: Spacing) -> list[str]:
         notes.append("everything is inside: one feature fills the volume, and has no surface in it.")
     small = int((table["voxels"] < FEW_VOXELS).sum())
     if small:
-        notes.append(f"{small} features have fewer than {FEW_VOXELS} voxels: do not believe their shapes.")
+        notes.append(f"{small} of the features have fewer than {FEW_VOXELS} voxels: they are given no shape.")
     cut = int(table["at_border"].sum())
     if cut:
-        notes.append(f"{cut} features touch the border and may be larger than measured (at_border).")
+        notes.append(f"{cut} of the features touch the border and may be larger than measured (at_border).")
     ratio = max(spacing) / min(spacing)
     if ratio > ANISOTROPIC:
         notes.append(f"voxels are {ratio:.3g} times longer one way than another: surfaces and shapes are uncertain.")

@@ -219,7 +219,7 @@ def plausible_pixel(recording: Recording) -> Recording:
     size = recording.pixel_um
     if size is None or PIXEL_UM[0] <= size <= PIXEL_UM[1]:
         return recording
-    said = f"the file gives a pixel size of {size:g} µm, which cannot be: lengths along x and y are in pixels."
+    said = f"the file gives a pixel size of {size:g} µm, which cannot be, and is left out."
     return replace(recording, pixel_um=None, notes=(*recording.notes, said))
 
 
