@@ -108,6 +108,8 @@ class Eyes:
         Frames a second that were looked at.
     wake : callable
         Called, in another thread, with each new frame.
+    rest_s : float
+        Time to look at nothing after a frame; frames that are to be kept are all looked at.
     """
 
     def __init__(
@@ -122,6 +124,7 @@ class Eyes:
         self.trend: deque[float] = deque(maxlen=TREND)
         self.rate_hz = 0.0
         self.wake: Callable[[], None] = lambda: None
+        self.rest_s = 0.0
         self.afar = False
         self._instrument = instrument
         self._met: Instrument | None = None
@@ -170,6 +173,8 @@ class Eyes:
                 self.rate_hz = 1 / max(apart_s + 0.1 * (now_s - before_s - apart_s), 1e-3)
                 before_s = now_s
                 self._take(look(number, frame.pixels, frame.header, self._top()))
+                if self.kept is None:
+                    self._over.wait(self.rest_s)
 
             self._look_afar(None)
 

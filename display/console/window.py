@@ -201,8 +201,9 @@ class ConsoleWindow:
         floating.draw(console)
 
     def _least_hz(self, console: Console) -> float:
-        """Return how often to draw while nothing wakes the window."""
+        """Return how often to draw while nothing wakes the window; in a run no more frames are looked at than drawn."""
         thrifty_hz = self._thrift.rate_hz()
+        console.eyes.rest_s = 1 / thrifty_hz if console.running else 0.0
         if console.running:
             return thrifty_hz
         return FULL_HZ if console.stick.device is not None else IDLE_HZ
