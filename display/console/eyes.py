@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 LOOK_S, DARK_S = 0.015, 0.1  # between looks, while frames may come and while none can
 STILL_S = 1.0
 BINS = 256
+EIGHT_BITS = 255
 TREND = 120  # frames
 KEPT_BYTES = 1 << 30
 SCORED_PX = 512
@@ -70,8 +71,15 @@ def middle(pixels: np.ndarray, side: int = SCORED_PX) -> np.ndarray:
     return pixels[top : top + side, left : left + side]
 
 
+def top_of(pixels: np.ndarray, told: int) -> int:
+    """Return the largest grey level: that of the instrument file, unless such pixels cannot have it."""
+    most = int(np.iinfo(pixels.dtype).max)
+    return most if told <= EIGHT_BITS < most else min(told, most)
+
+
 def look(number: int, pixels: np.ndarray, header: FrameHeader, top: int) -> Seen:
-    """Return a frame with what can be read off it."""
+    """Return a frame with what can be read off it; ``top`` is the largest grey level in the instrument file."""
+    top = top_of(pixels, top)
     over, under = int(np.count_nonzero(pixels >= top)), pixels.size - int(np.count_nonzero(pixels))
     return Seen(
         number,

@@ -127,7 +127,12 @@ class Console:
 
     @property
     def top(self) -> int:
-        """The largest grey level of the camera."""
+        """The largest grey level of the frames, before the first that of the instrument file."""
+        return self.told_top if self.eyes.seen is None else self.eyes.seen.histogram.top
+
+    @property
+    def told_top(self) -> int:
+        """The largest grey level by the instrument file."""
         return TOP_OF_UNKNOWN if self.bench.rig is None else (1 << self.bench.rig.camera.bit_depth) - 1
 
     @property

@@ -58,8 +58,9 @@ def lost_and_back(hand):
     hand.wait(lambda: console.eyes.seen)
     assert console.bench.ring != before
     z_um = console.state.z_um
-    hand.key(KEY.page_up)
-    hand.at(z_um + 2.0)
+    for key, there_um in ((KEY.page_up, z_um + 2.0), (KEY.page_down, z_um)):
+        hand.key(key)
+        hand.at(there_um)
 
 
 def first_run(hand):

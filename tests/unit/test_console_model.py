@@ -524,6 +524,16 @@ def test_a_frame_of_one_level_is_white_only_at_full_scale(top):
     assert grey.spread(grey.Histogram(np.eye(1, 256, 128, dtype=np.int64)[0], 255), 0.0) == (127, 129)
 
 
+@pytest.mark.parametrize(
+    ("dtype", "told", "top"), [("u1", 255, 255), ("u2", 4095, 4095), ("u2", 255, 65535), ("u1", 4095, 255)]
+)
+def test_frames_that_cannot_be_of_the_depth_in_the_file_are_not_called_saturated(dtype, told, top):
+    seen = look(1, np.full((8, 8), min(top, 1500), dtype), None, told)
+    assert seen.histogram.top == top
+    assert seen.histogram.counts.sum() == 64
+    assert seen.over == (top == 255)
+
+
 def test_keys_choose_views_of_the_last_run_and_how_eyes_see_them(console):
     told(console, run=run_view(1, "COMPLETED"))
     keys = {binding.shown: binding.do for binding in BINDINGS}

@@ -34,6 +34,9 @@ def draw(console: Console) -> None:
         w.words("previews from afar: saturation and focus cannot be judged by them", w.ORANGE)
         return
     _ends(seen)
+    if console.top != console.told_top:
+        bits = 8 * seen.pixels.itemsize
+        w.words(f"frames of {bits} bits, but the instrument file has another camera.bit_depth: set it", w.ORANGE)
     _focus(console)
 
 
