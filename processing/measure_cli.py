@@ -151,6 +151,8 @@ class Task:
 
     def do(self, blocks: Blocks) -> tuple[dict[str, Any], Measurement]:
         """Do it; returns the report and what was found."""
+        if self.question.smallest < 1:
+            raise InputError("a feature has one voxel at least.", fix="--smallest 1", code="operator-params")
         check_results(self.output, self.files, overwrite=self.overwrite)
         begin = SystemClock().now()
         side = slab_side(self.data, self.scale, blocks) if blocks.wanted else None

@@ -143,7 +143,7 @@ def found(method: str, counts: Array, values: Array) -> float:
     if there.size < 2:
         raise InputError(
             "all voxels have one value: nothing parts dark from bright.",
-            fix="give the threshold: mask.threshold:above=V",
+            fix="give the threshold: --threshold V, or mask.threshold:above=V",
             code="threshold",
         )
     part = slice(there[0], there[-1] + 1)

@@ -39,7 +39,7 @@ def checked(volume: Array, types: tuple[str, ...] = TYPES) -> Array:
     Raises
     ------
     InputError
-        ``volume-shape``: it is not of three axes, or empty; ``volume-nan``: a value is no number.
+        ``volume-shape``: it is not of three axes, or empty, or complex; ``volume-nan``: a value is no number.
     """
     if volume.ndim != 3 or 0 in volume.shape:
         raise InputError(
@@ -47,12 +47,17 @@ def checked(volume: Array, types: tuple[str, ...] = TYPES) -> Array:
             fix="choose one band: --channel N",
             code="volume-shape",
         )
+    if volume.dtype.kind not in "biuf":
+        raise InputError(
+            f"grey values are numbers; these are {volume.dtype}.", fix="save what is to be seen.", code="volume-shape"
+        )
     counted = volume.view(np.uint8) if volume.dtype == np.bool_ else volume
-    taken = counted if counted.dtype.name in types else counted.astype(np.float32)
+    with np.errstate(over="ignore"):  # what is too large becomes infinite, and is told below
+        taken = counted if counted.dtype.name in types else counted.astype(np.float32)
     if taken.dtype.kind == "f" and not np.isfinite(taken).all():
         wrong = np.count_nonzero(~np.isfinite(taken))
         raise InputError(
-            f"{wrong} voxels of the volume are not numbers.",
+            f"{wrong} voxels of the volume are not numbers, or too large for 32 bit.",
             fix="fill or mask them first; filters would spread them.",
             code="volume-nan",
         )

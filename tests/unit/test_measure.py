@@ -230,12 +230,28 @@ GAPS = np.where(NOISE > 190, np.nan, NOISE).astype(np.float32)
         (np.full((2, 3, 5), 5_000_000, np.uint32), ["--labels"], "labels-many"),
         (NOISE, ["--pixel-um", "0", "--step-um", "1"], "spacing"),
         (np.zeros((4, 5, 6, 3), np.uint8), [], "volume-shape"),
+        (NOISE.astype(np.complex128), [], "volume-shape"),
+        (NOISE * 1e300, [], "volume-nan"),
+        (NOISE, ["--smallest", "0"], "operator-params"),
+        (NOISE, ["--threshold", "nan"], "threshold"),
     ],
 )
 def test_bad_input_is_one_clear_line(values, options, code: str, tmp_path, capsys) -> None:
     assert measure(tmp_path, values, *options) == 2
     assert f"error[{code}]" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("shape", [(8, 1, 1), (1, 1, 8), (1, 9, 1), (1, 1, 1)])
+def test_parts_of_a_line_are_those_that_touch_along_it(shape: tuple[int, int, int]) -> None:
+    line = np.resize([1, 0, 1, 1, 0, 0, 1, 0, 1], shape)
+    assert components(line, rule=26)[1] == components(line, rule=6)[1] == np.sum(np.diff(line.ravel(), prepend=0) == 1)
+
+
+def test_features_of_few_voxels_have_no_shape() -> None:
+    labels = np.zeros((8, 8, 12), np.uint8)
+    labels[3, 3, 3], labels[2:5, 2:5, 6:9] = 1, 2
+    assert np.isnan(measured(labels)["sphericity"]).tolist() == [True, False]
 
 
 def test_wildly_uneven_voxels_and_tiny_features_are_flagged() -> None:
