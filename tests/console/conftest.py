@@ -102,5 +102,5 @@ def make_small(folder):
     """Leave as many colours in the pictures as they need."""
     for path in folder.glob("console*.png"):
         with Image.open(path) as picture:
-            small = picture.convert("RGB").quantize(255, Image.Quantize.MAXCOVERAGE)
+            small = picture.convert("RGB").quantize(255, Image.Quantize.MAXCOVERAGE, kmeans=1)
         small.save(path, optimize=True)

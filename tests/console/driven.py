@@ -80,6 +80,8 @@ def first_run(hand):
     assert console.line
     hand.key(KEY.l)
     troubles(hand)
+    hand.key(KEY.f2)
+    hand.click("//Alarms/Seen")
     hand.enter("//Stage/µm", 50_000.0)
     hand.click("//Stage/Go")
     hand.wait(lambda: "[limit]" in console.notice)
