@@ -248,6 +248,14 @@ def test_parts_of_a_line_are_those_that_touch_along_it(shape: tuple[int, int, in
     assert components(line, rule=26)[1] == components(line, rule=6)[1] == np.sum(np.diff(line.ravel(), prepend=0) == 1)
 
 
+def test_features_that_large_triangles_miss_are_measured() -> None:
+    values = np.zeros((9, 9, 9), np.uint8)
+    values[3, 3, 3], values[5, 5, 7] = 90, 200
+    found = measure_volume(GreyVolume(values, CUBES), Question("50"))
+    assert found.table["voxels"].tolist() == [1, 1]
+    assert found.numbers["surface_per_volume_facets_per_um"].value > 0
+
+
 def test_features_of_few_voxels_have_no_shape() -> None:
     labels = np.zeros((8, 8, 12), np.uint8)
     labels[3, 3, 3], labels[2:5, 2:5, 6:9] = 1, 2
