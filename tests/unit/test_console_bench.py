@@ -196,7 +196,7 @@ def test_eyes_follow_from_ring_to_ring_of_another_size_and_depth(tmp_path):
             with RingWriter.create(f"r{number}", shape, dtype, 4, clock=SystemClock(), folder=tmp_path) as ring:
                 where[0] = str(ring.path)
                 header = FrameHeader(plane=0, setpoint_um=1.0, z_um=1.0, exposure_ms=2.0)
-                ring.push(np.full(shape, 255, dtype), header, timeout_s=0)
+                ring.push(np.full(shape, np.iinfo(dtype).max, dtype), header, timeout_s=0)
                 until(lambda shape=shape: eyes.seen is not None and eyes.seen.pixels.shape == shape)
                 assert eyes.seen.pixels.dtype == dtype
                 assert eyes.seen.over == 1.0
