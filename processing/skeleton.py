@@ -67,7 +67,8 @@ def graph(
         85 on links, 170 on nodes, 255 on ends, 0 elsewhere.
     branches : Table
         Kind (link between nodes, end, free on both sides, ring), nodes it goes from and to, voxels, length along the
-        voxels (up to 13 % too long on oblique lines, √(1 + (√2-1)² + (√3-√2)²)) and straight, mean distance to the surface.
+        voxels (on oblique lines up to √(1 + (√2-1)² + (√3-√2)²), 13 %, too long) and straight, mean distance to the
+        surface.
     nodes : Table
         Kind (node, end, point, ring), place of its middle, number of branches, distance to the surface.
     skeleton : Picture
