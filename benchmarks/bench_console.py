@@ -20,6 +20,9 @@ import time
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+import numpy as np
+import tifffile
+import tomlkit
 from imgui_bundle import imgui
 from imgui_bundle.immapp import testing
 
@@ -42,6 +45,7 @@ RECIPE = (
     'schema = 1\nname = "b"\n[output]\nkeep_free_gb = 0.001\n[stack]\ntop_um = 10.0\nbottom_um = -10.0\nplanes = {}\n'
 )
 FRAMES, STOPS, PLANES, ROUNDS = 200, 30, 100, 3
+LARGE_PX, LARGE_FRAMES = 2048, 21
 SETTLED_S, IDLE_S, REST_S, PATIENCE_S = 8.0, 20.0, 0.2, 30.0
 DRAWN = "looking up the live picture"
 HALT = "\\"
@@ -62,6 +66,9 @@ def main() -> int:
         server = stack.enter_context(served(bench.instrument, "--transcript", folder / "wire"))
         os.environ["XDG_RUNTIME_DIR"] = str(server.runtime)
         rows = measure(server, folder, stops)
+        large = stack.enter_context(served(large_instrument(bench.instrument, folder)))
+        os.environ["XDG_RUNTIME_DIR"] = str(large.runtime)
+        rows += large_rows(large, folder)
     print(f"{'what':<66} {'measured':>10}  limit")
     for name, value, limit in rows:
         print(f"{name:<66} {value:>10.4g}  {'' if limit is None else f'<= {limit:g}'}{missed(value, limit)}")
@@ -98,25 +105,68 @@ def measure(server, folder, stops):
         testing.run(test_function=drive, runner_params=window.params)
     rows.extend(stop_rows(server, folder / "wire" / "stage-z.jsonl", stops))
     rows.append(("idle, share of a core, %", 100 * idle_share(server), 10))
-    rows.extend(run_rows(server, folder))
+    rows.extend(run_rows(server, folder, "512²"))
     return rows
 
 
-def run_rows(server, folder: Path):
+def run_rows(server, folder: Path, size: str):
     """Take stacks alone and beside a console as a user starts it, in turns."""
-    ratios = []
+    ratios, lost = [], 0
     with server.client() as instrument:
         instrument.command("bench")
         for k in range(ROUNDS):
-            alone_s = run_once(instrument, folder / f"alone-{k}")
+            alone_s = run_once(instrument, folder / f"{size}-alone-{k}")
             with started_console(server):
                 time.sleep(SETTLED_S)
-                ratios.append(run_once(instrument, folder / f"beside-{k}") / alone_s)
-    lost = sum(len(open_run(path).missing) for path in folder.glob("beside-*"))
+                beside = folder / f"{size}-beside-{k}"
+                ratios.append(run_once(instrument, beside) / alone_s)
+                lost += len(open_run(beside).missing)
     return [
-        (f"time of a stack beside the console over alone, median of {ROUNDS}", statistics.median(ratios), 1.02),
-        ("planes lost beside the console", lost, 0),
+        (f"{size}: time of a stack beside the console over alone, median of {ROUNDS}", statistics.median(ratios), 1.02),
+        (f"{size}: planes lost beside the console", lost, 0),
     ]
+
+
+def large_instrument(instrument: Path, folder: Path) -> Path:
+    """Return an instrument file whose camera replays frames of noise: the simulated one has 6 of this size a second."""
+    source = folder / "frames"
+    source.mkdir()
+    for k in range(LARGE_FRAMES):
+        frame = np.random.default_rng(k).integers(0, 4096, (LARGE_PX, LARGE_PX), np.uint16)
+        tifffile.imwrite(source / f"{k}.tif", frame)
+    tables = tomlkit.parse(Path(instrument).read_text())
+    tables["name"] = "large bench"
+    tables["camera"] = {
+        "driver": "folder",
+        "source": str(source),
+        "z0_um": -100.0,
+        "step_um": 200.0 / (LARGE_FRAMES - 1),
+        "bit_depth": 12,
+        "pixel_um": 3.45,
+        "exposure_ms": 10.0,
+    }
+    path = folder / "large.toml"
+    path.write_text(tomlkit.dumps(tables))
+    return path
+
+
+def large_rows(server, folder: Path):
+    """Measure with frames of 2048²: how many are shown in a second, and what a stack pays for it."""
+    with server.client() as instrument, started_console(server) as console:
+        instrument.command("bench")
+        instrument.start_live(30.0)
+        time.sleep(SETTLED_S)
+        with instrument.viewer() as viewer:
+            first, began_s, before_s = viewer.newest(PATIENCE_S), time.monotonic(), spent_s(console.pid)
+            time.sleep(IDLE_S)
+            last, took_s = viewer.newest(PATIENCE_S), time.monotonic() - began_s
+        share = (spent_s(console.pid) - before_s) / took_s
+        instrument.stop_live()
+    rows = [
+        ("2048²: live frames a second, asked for 30", (last.number - first.number) / took_s, None),
+        ("2048²: share of a core the console takes for them, %", 100 * share, None),
+    ]
+    return rows + run_rows(server, folder, "2048²")
 
 
 def idle_share(server) -> float:
