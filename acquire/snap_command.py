@@ -7,19 +7,18 @@ import sys
 from pathlib import Path  # noqa: TC003  the command line reads the annotations
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from acquire.frame import Frame, FrameHeader
 from acquire.progress import progress
 from acquire.recorder import disk_failed
 from acquire.served import found_or_started
-from acquire.snapshots import write_frames
+from acquire.snapshots import frame_of, write_frames
 from devices.errors import InputError
 
 if TYPE_CHECKING:
     from acquire.client import Instrument
+    from acquire.frame import Frame
 
 Flag = Annotated[bool, Parameter(negative="")]
 Roi = tuple[int, int, int, int]
@@ -107,15 +106,9 @@ def _taken(client: Instrument, count: int) -> list[Frame]:
     frames = []
     with progress("taking pictures", count, quiet=count == 1) as tell:
         for number in range(count):
-            frames.append(_one(client, number))
+            frames.append(frame_of(client.picture()))
             tell(number + 1)
     return frames
-
-
-def _one(client: Instrument, number: int) -> Frame:
-    picture = client.picture()
-    header = FrameHeader(-1, picture.z_um, picture.z_um, picture.exposure_ms, utc_ns=picture.utc_ns)
-    return Frame(number, header, np.frombuffer(picture.pixels, picture.dtype).reshape(picture.shape))
 
 
 def _tell(output: Path, frames: list[Frame], *, as_json: bool) -> None:

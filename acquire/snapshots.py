@@ -9,13 +9,22 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import tifffile
 
+from acquire.frame import Frame, FrameHeader
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from acquire.frame import FrameHeader
+    from acquire.replies import Picture
 
 NS_PER_S = 1_000_000_000
+
+
+def frame_of(picture: Picture) -> Frame:
+    """Return a picture that was asked for as a frame; it is no plane of a run."""
+    pixels = np.frombuffer(picture.pixels, picture.dtype).reshape(picture.shape)
+    header = FrameHeader(-1, picture.z_um, picture.z_um, picture.exposure_ms, utc_ns=picture.utc_ns)
+    return Frame(0, header, pixels)
 
 
 class Taken(Protocol):

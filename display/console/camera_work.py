@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from acquire import replies, requests
-from acquire.snapshots import write_clip, write_snapshot
+from acquire.snapshots import frame_of, write_clip, write_snapshot
 from devices.errors import StereotomeError
 from display.console.placing import Placing, inside
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from display.console.eyes import Seen
+    from acquire.snapshots import Taken
     from display.console.model import Console
 
 LIVE_HZ = 30.0
@@ -103,11 +103,11 @@ class CameraWork:
             self._written(lambda: write_clip(Path(self._console.settings.snapshots), kept, self._about()))
 
     def _snapped(self, answer: replies.AnyReply | StereotomeError) -> None:
-        if isinstance(answer, replies.Picture) and self._console.eyes.seen is not None:
-            self._keep(self._console.eyes.of_picture(answer))
+        if isinstance(answer, replies.Picture):
+            self._keep(frame_of(answer))
 
-    def _keep(self, seen: Seen) -> None:
-        self._written(lambda: write_snapshot(Path(self._console.settings.snapshots), seen, self._about()))
+    def _keep(self, taken: Taken) -> None:
+        self._written(lambda: write_snapshot(Path(self._console.settings.snapshots), taken, self._about()))
 
     def _written(self, write: Callable[[], Path]) -> None:
         try:

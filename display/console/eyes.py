@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from acquire.frame import FrameHeader
 from acquire.measures import focus_energy
 from acquire.viewer import RingViewer
 from devices.clock import SystemClock
@@ -21,9 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from acquire.client import Instrument
-    from acquire.frame import Frame
+    from acquire.frame import Frame, FrameHeader
     from acquire.preview_viewer import PreviewViewer
-    from acquire.replies import Picture
     from devices.protocols import Clock
 
 LOOK_S, DARK_S = 0.015, 0.1  # between looks, while frames may come and while none can
@@ -154,12 +152,6 @@ class Eyes:
         """Return the frames that were kept."""
         kept, self.kept = self.kept, None
         return kept or []
-
-    def of_picture(self, picture: Picture) -> Seen:
-        """Return a frame that was asked for as one that was seen."""
-        pixels = np.frombuffer(picture.pixels, picture.dtype).reshape(picture.shape)
-        header = FrameHeader(-1, picture.z_um, picture.z_um, picture.exposure_ms, utc_ns=picture.utc_ns)
-        return look(0, pixels, header, self._top())
 
     def close(self) -> None:
         """Look no more."""

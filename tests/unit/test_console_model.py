@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -195,6 +196,16 @@ PLANNED = replies.Planned(
     folder="/d", planes=21, sections=1, planes_each=21, first_um=0, last_um=20, step_um=1, seconds=9, dose_s=1,
     bytes_on_disk=10, needed_bytes=20, free_bytes=30,
 )  # fmt: skip
+
+
+def test_the_first_picture_of_all_is_kept_though_no_frame_was_seen_before(console, tmp_path):
+    console.settings.snapshots = str(tmp_path)
+    console.camera.snap()
+    _, answered = console.bench.asked.pop()
+    pixels = np.arange(12, dtype=np.uint16).reshape(3, 4)
+    answered(replies.Picture(shape=(3, 4), dtype="uint16", pixels=pixels.tobytes(), z_um=1, exposure_ms=2, utc_ns=3))
+    [kept] = tmp_path.glob("snap-*.tif")
+    assert np.array_equal(tifffile.imread(kept), pixels)
 
 
 def test_a_stop_forgets_what_was_wanted(console):
