@@ -63,18 +63,24 @@ def main() -> int:
         rig.write_text(RIG.replace("speed_um_s  = 2000.0", "speed_um_s  = 400.0"))
         bench = SimBench([str(rig), "--dir", str(folder / "b")])
         stack.callback(bench.close)
-        server = stack.enter_context(served(bench.instrument, "--transcript", folder / "wire"))
-        os.environ["XDG_RUNTIME_DIR"] = str(server.runtime)
-        rows = measure(server, folder, stops)
-        large = stack.enter_context(served(large_instrument(bench.instrument, folder)))
-        os.environ["XDG_RUNTIME_DIR"] = str(large.runtime)
-        rows += large_rows(large, folder)
+        with joined(bench.instrument, "--transcript", folder / "wire") as server:
+            rows = measure(server, folder, stops)
+        with joined(large_instrument(bench.instrument, folder)) as server:
+            rows += large_rows(server, folder)
     print(f"{'what':<66} {'measured':>10}  limit")
     for name, value, limit in rows:
         print(f"{name:<66} {value:>10.4g}  {'' if limit is None else f'<= {limit:g}'}{missed(value, limit)}")
     machine = {"machine": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()}
     print(json.dumps({"benchmark": "console", **machine, **{name: value for name, value, _ in rows}}))
     return 1 if any(missed(value, limit) for _, value, limit in rows) else 0
+
+
+@contextmanager
+def joined(instrument, *options):
+    """Serve an instrument, and let what is started meanwhile find it."""
+    with served(instrument, *options) as server:
+        os.environ["XDG_RUNTIME_DIR"] = str(server.runtime)
+        yield server
 
 
 def missed(value, limit):
@@ -94,12 +100,12 @@ def measure(server, folder, stops):
             engine = imgui.test_engine.get_io(ctx.engine)
             engine.config_watchdog_warning = engine.config_watchdog_kill_test = 1e6
             wait(ctx, lambda: console.bench.commands)
-            console.live()
+            console.camera.live()
             wait(ctx, lambda: console.eyes.seen)
             spent.clear()
             ctx.yield_(FRAMES)
             rows.extend(panel_rows(spent))
-            console.live()
+            console.camera.live()
             wait(ctx, lambda: not console.state.live)
 
         testing.run(test_function=drive, runner_params=window.params)
@@ -242,12 +248,13 @@ def stopped_after_s(keyboard, wire: Path) -> float:
         lines.seek(0, os.SEEK_END)
         pressed_s = time.monotonic()
         keyboard.escape(down=True)
+        line = ""
         while True:
-            line = lines.readline()
-            if not line.endswith("\n"):
+            line += lines.readline()
+            if not line.endswith("\n"):  # half of it may be written
                 time.sleep(0.002)
                 continue
-            told = json.loads(line)
+            told, line = json.loads(line), ""
             if told["to"] == "device" and told["bytes"].startswith(HALT):
                 keyboard.escape(down=False)
                 return told["t"] - pressed_s
