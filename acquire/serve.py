@@ -100,7 +100,7 @@ def _wait(host: Host, leave_after_s: float | None) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, on_signal)
     used_s = CLOCK.now()
-    while not over.wait(None if leave_after_s is None else LOOK_S):
+    while not over.wait(LOOK_S):  # the handler runs when the main thread turns: one that waits for ever may never turn
         if host.in_use:
             used_s = CLOCK.now()
         elif leave_after_s is not None and CLOCK.now() - used_s > leave_after_s:

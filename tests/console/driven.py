@@ -112,8 +112,8 @@ def first_run(hand):
     hand.wait(lambda: not console.running)
     hand.at(0.0)
     hand.enter("//Stack/planes", SHORT)
+    hand.wait(lambda: getattr(console.planned, "planes", 0) == SHORT)  # until then what is below may move
     hand.ctx.item_check("//Stack/extended focus and range")
-    hand.wait(lambda: getattr(console.planned, "planes", 0) == SHORT)
     hand.click("//Stack/Queue")
     hand.click("//Stack/Start the queue")
     hand.wait(lambda: console.run.number == 2 and console.run.state == "COMPLETED" and not console.running)
