@@ -1,13 +1,25 @@
 """Pictures and the console's buttons from the command line, at a real instrument process."""
 
 import json
+from contextlib import closing
 
 import pytest
 import tifffile
-from served import PATIENCE_S, RECIPE
+from served import PATIENCE_S, RECIPE, SMALL_BENCH, served
 from wires import stereotome
 
 from acquire.store import RunEnd, open_run
+from sim.pytest_plugin import SimBench
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    """An instrument process of these tests' own: they ask that its stage was never lost."""
+    folder = tmp_path_factory.mktemp("control")
+    small = folder / "small.toml"
+    small.write_text(SMALL_BENCH.replace('"small"', '"control"'))
+    with closing(SimBench([str(small), "--dir", str(folder / "b")])) as bench, served(bench.instrument) as server:
+        yield server
 
 
 @pytest.fixture
