@@ -74,5 +74,5 @@ class KnifeWork:
             self.notice = words_of(answer)
         elif isinstance(answer, replies.Depth):
             self._console.journal.add(
-                "info", "feed", f"at {answer.depth_nm / 1000:.3f} µm, {answer.cuts} strokes counted"
+                "info", "feed", f"at {answer.depth_nm / 1000:.3f} µm, strokes counted: {answer.cuts}"
             )

@@ -143,6 +143,7 @@ def main(function, connection, folder, scale):
         camera_work.LIVE_HZ = LIVE_HZ
         console.form.folder = f"{os.environ.get('STEREOTOME_RUNS', Path.cwd())}/run-{{run}}"
         window = ConsoleWindow(console, scale=float(scale), remembers=False)
+        window.params.fps_idling.enable_idling = False  # what the engine does is no event: it wakes no window
 
         def drive(ctx):
             hand = Hand(ctx, console, window, Path(folder), connection)

@@ -37,7 +37,7 @@ def _stands(console: Console) -> None:
     imgui.text(f"feed {feed.depth_nm / NM_PER_UM:.3f} µm, {feed.state or 'ready'}")
     imgui.text_colored(w.BLUE if feed.knife == "clear" else w.ORANGE, f"knife {feed.knife}")
     imgui.same_line()
-    imgui.text(f"{feed.cuts} strokes counted")
+    imgui.text(f"strokes counted: {feed.cuts}")
     if console.running and console.run is not None:
         run = console.run
         w.words(f"run: section {run.section + 1} of {run.sections}, {run.phase}")
