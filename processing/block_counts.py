@@ -112,7 +112,7 @@ class SlabLabels(Stage):
     def _touching(self, begins: Array) -> Iterator[Array]:
         """Yield pairs of parts that touch across the planes between two slabs."""
         labels: Any = zarr.open_array(self.image("volume") / "0", mode="r")
-        for k, (above, _) in enumerate(pairwise(self.slabs)):
+        for k, (above, _) in enumerate(pairwise(self.places)):
             z = above.write[0].stop
             upper, lower = (np.asarray(labels[0, 0, i]) for i in (z - 1, z))
             values = self.volumes.read(["volume"], slice(z - 1, z + 1))["volume"] if self.by_value else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from acquire.progress import progress
@@ -24,8 +25,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from processing.block_options import Blocks
+    from processing.blockwise import Doing
+    from processing.marked import Marked
     from processing.pipeline import Pipeline
-    from processing.slabs import Stage
     from processing.step_inputs import Choices, Given
 
 
@@ -63,15 +65,72 @@ def block_job(
     """
     halo = check_blockwise(pipeline)
     volumes = opened_volumes(given, choices)
-    workers = Threads().count if blocks.scheduler is None else WORKERS
-    plan = plan_slabs(given, halo, amount(blocks.memory), workers)
-    job = fingerprint(given, volumes, pipeline, plan) | dict(more or {})
+    plan = plan_slabs(given, halo, amount(blocks.memory), at_once(blocks))
+    job = fingerprint(given, volumes, pipeline) | dict(more or {})
+    with begun(output, job, {"planes": plan.side}, plan.workers, blocks, overwrite=overwrite, quiet=quiet) as going:
+        yield Blockwise(going.work, volumes, replace(plan, side=going.plan["planes"]), going.do)
+
+
+def at_once(blocks: Blocks) -> int:
+    """Return how many parts are done at once, at most, or for which they are cut at least."""
+    return Threads().count if blocks.scheduler is None else WORKERS
+
+
+@dataclass(frozen=True)
+class Going:
+    """A job under way.
+
+    Attributes
+    ----------
+    work : Path
+        Folder in which each of its works has one.
+    plan : dict
+        How it is cut into parts.
+    do : callable
+        Has all parts of a work done; takes its title and the work.
+    """
+
+    work: Path
+    plan: Mapping[str, Any]
+    do: Doing
+
+
+@contextmanager
+def begun(
+    output: Path,
+    job: Mapping[str, Any],
+    plan: Mapping[str, Any],
+    workers: int,
+    blocks: Blocks,
+    *,
+    overwrite: bool,
+    quiet: bool,
+) -> Iterator[Going]:
+    """Begin a job, or go on with one that was left.
+
+    Parameters
+    ----------
+    output : Path
+        Folder of the results.
+    job, plan : dict
+        As for `prepare`; how much memory was allowed is part of the job.
+    workers : int
+        Parts at once, on threads.
+    blocks : Blocks
+        What the user said.
+
+    Raises
+    ------
+    InputError
+        ``blocks-left``, ``blocks-other``, ``scheduler``.
+    """
     work = output / WORK
-    prepare(work, job, resume=blocks.resume, overwrite=overwrite)
-    with runner(blocks.scheduler, plan.workers) as running:
+    plan = prepare(work, {**job, "memory": blocks.memory}, plan, resume=blocks.resume, overwrite=overwrite)
+    with runner(blocks.scheduler, workers) as running:
 
-        def do(title: str, stage: Stage) -> None:
-            with progress(title, len(stage.slabs), quiet=quiet) as show:
-                running.run(stage, show)
+        def do(title: str, parts: Marked) -> None:
+            parts.make_ready()
+            with progress(title, len(parts.places), quiet=quiet) as show:
+                running.run(parts, show)
 
-        yield Blockwise(work.absolute(), volumes, plan, do)
+        yield Going(work.absolute(), plan, do)

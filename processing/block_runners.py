@@ -1,4 +1,4 @@
-"""Who does the slabs: threads of this process, or the workers of a Dask scheduler."""
+"""Who does the parts of a work: threads of this process, or the workers of a Dask scheduler."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from dask.callbacks import Callback
 from dask.threaded import get
 
 from devices.errors import InputError
-from processing.slabs import run_slab
+from processing.marked import run_part
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from processing.slabs import Stage
+    from processing.marked import Marked
 
     Show = Callable[[int], None]
 
 ANSWER_S = 20  # a scheduler that has not answered by then is not there
 ALONE_S = 120  # without any worker after which a run is given up
-RETRIES = 3  # of a slab whose workers died
+RETRIES = 3  # of a part whose workers died
 
 
 @dataclass(frozen=True)
@@ -34,15 +34,15 @@ class Threads:
     Attributes
     ----------
     count : int
-        How many slabs are done at once.
+        How many parts are done at once.
     """
 
     count: int = os.cpu_count() or 1
 
-    def run(self, stage: Stage, show: Show) -> None:
-        """Do all slabs that are not done; ``show`` is told how many are."""
-        pending = stage.pending()
-        total = len(stage.slabs)
+    def run(self, work: Marked, show: Show) -> None:
+        """Do all parts that are not done; ``show`` is told how many are."""
+        pending = work.pending()
+        total = len(work.places)
         done = total - len(pending)
 
         def counted(*_: object) -> None:
@@ -50,29 +50,29 @@ class Threads:
             done = min(done + 1, total)
             show(done)
 
-        tasks = {("slab", k): (partial(run_slab, stage), k) for k in pending}
+        tasks = {("part", k): (partial(run_part, work), k) for k in pending}
         pool = ThreadPoolExecutor(self.count)
         try:
             with Callback(posttask=counted):
                 get(tasks, list(tasks), pool=pool)
         finally:
-            pool.shutdown(cancel_futures=True)  # a slab under way is finished before anybody else may begin it
+            pool.shutdown(cancel_futures=True)  # a part under way is finished before anybody else may begin it
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """Workers of a Dask scheduler; one that dies has its slabs done by the others."""
+    """Workers of a Dask scheduler; one that dies has its parts done by the others."""
 
     client: Any
     count: int = 1
 
-    def run(self, stage: Stage, show: Show) -> None:
-        """Do all slabs that are not done; what is under way is given up when this is interrupted."""
+    def run(self, work: Marked, show: Show) -> None:
+        """Do all parts that are not done; what is under way is given up when this is interrupted."""
         from distributed import wait  # noqa: PLC0415  an extra
 
-        pending = stage.pending()
-        done = len(stage.slabs) - len(pending)
-        waiting = set(self.client.map(partial(run_slab, stage), pending, pure=False, retries=RETRIES))
+        pending = work.pending()
+        done = len(work.places) - len(pending)
+        waiting = set(self.client.map(partial(run_part, work), pending, pure=False, retries=RETRIES))
         try:
             while waiting:
                 try:
@@ -100,7 +100,7 @@ def require_workers(client: Any) -> None:
 
 @contextmanager
 def runner(scheduler: str | None, count: int) -> Iterator[Threads | Cluster]:
-    """Give what does the slabs.
+    """Give what does the parts.
 
     Raises
     ------

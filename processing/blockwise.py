@@ -13,22 +13,25 @@ from dask.utils import parse_bytes
 from acquire.ome_zarr import replace_json
 from devices.errors import InputError
 from processing.block_counts import Counts, Limits, Renumber, SlabLabels
+from processing.block_source import when_changed
 from processing.outputs import peak_memory_mb
 from processing.pipeline import Pipeline, Step
 from processing.result_folder import plain
 from processing.slabs import LocalSteps, Stage, Volumes, kernel_type
 from processing.step_outputs import layout_of
-from processing.volume_files import create_volume, levels_of
+from processing.volume_files import pyramid
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from acquire.ome_zarr import FocalArray
+    from processing.marked import Marked
     from processing.step_inputs import Choices, Given
 
     S = TypeVar("S", bound=Stage)
-    Doing = Callable[[str, Stage], None]
+    Outs = tuple[tuple[str, FocalArray], ...]
+    Doing = Callable[[str, Marked], None]
 
 WORKERS = 2  # of a cluster, for which slabs are cut at least; more do no harm
 JOB = "job.json"
@@ -71,6 +74,11 @@ def amount(memory: str | None) -> float | None:
         raise InputError(f"{memory!r} is no amount of memory.", fix="--memory 2GB", code="memory") from None
 
 
+def held_bytes() -> float:
+    """Return what this process takes beside its blocks."""
+    return (peak_memory_mb() + COMPILING_MB) * 1e6
+
+
 def plan_slabs(given: Given, halo: int, memory: float | None, workers: int) -> Plan:
     """Choose slabs that fit into memory.
 
@@ -94,17 +102,43 @@ def plan_slabs(given: Given, halo: int, memory: float | None, workers: int) -> P
     height, width = stacks[0].shape
     plane = height * width * (sum(stack.dtype.itemsize for stack in stacks) + BYTES_PER_VOXEL)
     wanted = max(1, min(MOST_PLANES, -(-len(stacks[0]) // (2 * workers))))
+    what = f"a plane and its {2 * halo} neighbours"
+    return Plan(*fitted(memory, range(wanted, 0, -1), lambda side: (side + 2 * halo) * plane, workers, what))
+
+
+def fitted(
+    memory: float | None, sizes: Sequence[int], each: Callable[[int], float], workers: int, what: str
+) -> tuple[int, int]:
+    """Choose how large parts are, and how many are done at once.
+
+    Parameters
+    ----------
+    memory : float, optional
+        Bytes that this process may take in all; None for as many as wanted.
+    sizes : sequence of int
+        That a part may have, the largest first.
+    each : callable
+        Returns the bytes that a part of a size takes.
+    workers : int
+        Parts at once, at most.
+    what : str
+        Names the smallest part in the message.
+
+    Raises
+    ------
+    InputError
+        ``memory``: not even one of the smallest fits.
+    """
     if memory is None:
-        return Plan(wanted, workers)
-    usable = memory - (peak_memory_mb() + COMPILING_MB) * 1e6
+        return sizes[0], workers
     for count in range(workers, 0, -1):
-        side = int(usable / count / plane) - 2 * halo
-        if side >= 1:
-            return Plan(min(side, wanted), count)
-    least = (peak_memory_mb() + COMPILING_MB) * 1e6 + (1 + 2 * halo) * plane
+        for size in sizes:
+            if held_bytes() + count * each(size) <= memory:
+                return size, count
+    least = (held_bytes() + each(sizes[-1])) / 1e9 + 0.005
     raise InputError(
-        f"{memory / 1e9:.2f} GB do not hold a plane and its {2 * halo} neighbours; {least / 1e9:.2f} GB would.",
-        fix=f"--memory {least / 1e9:.2f}GB",
+        f"{memory / 1e9:.2f} GB do not hold {what}; {least:.2f} GB would.",
+        fix=f"--memory {least:.2f}GB",
         code="memory",
     )
 
@@ -137,30 +171,36 @@ def check_blockwise(pipeline: Pipeline) -> int:
     return most
 
 
-def prepare(work: Path, job: dict[str, Any], *, resume: bool, overwrite: bool) -> None:
+def prepare(
+    work: Path, job: Mapping[str, Any], plan: Mapping[str, Any], *, resume: bool, overwrite: bool
+) -> dict[str, Any]:
     """Make the folder of a job ready: a new one, or that of the same job which was left.
+
+    Parameters
+    ----------
+    job : dict
+        What must be the same for parts to be used again.
+    plan : dict
+        How it is cut into parts now; a job that was left goes on as it was cut then, however much memory this process
+        happens to have taken.
+
+    Returns
+    -------
+    dict
+        The plan to go by.
 
     Raises
     ------
     InputError
-        ``blocks-left``: it holds slabs of a job that was left, and nobody said what to do; ``blocks-other``: of another
+        ``blocks-left``: it holds parts of a job that was left, and nobody said what to do; ``blocks-other``: of another
         job than the one to be resumed.
     """
-    wanted = plain(job)
+    wanted: dict[str, dict[str, Any]] = {"job": plain(dict(job)), "plan": plain(dict(plan))}
     if work.exists() and resume:
-        try:
-            left = json.loads((work / JOB).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            left = None  # it was killed before the job was written
-        if left is not None and left != wanted:
-            changed = ", ".join(key for key in wanted if left.get(key) != wanted[key])
-            raise InputError(
-                f"{work.parent} was left by another job; different: {changed}.",
-                fix=("give the same input, steps and sizes", "begin anew: --overwrite"),
-                code="blocks-other",
-            )
+        left = left_job(work)
         if left is not None:
-            return
+            check_same(work.parent, left["job"], wanted["job"])
+            return dict(left["plan"])
     elif work.exists() and not overwrite:
         raise InputError(
             f"{work.parent} holds slabs of a job that was left.",
@@ -170,18 +210,36 @@ def prepare(work: Path, job: dict[str, Any], *, resume: bool, overwrite: bool) -
     shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True)
     replace_json(work / JOB, wanted)
+    return wanted["plan"]
 
 
-def fingerprint(given: Given, volumes: Volumes, pipeline: Pipeline, plan: Plan) -> dict[str, Any]:
+def left_job(work: Path) -> dict[str, Any] | None:
+    """Return what a job said of itself; None where it was killed before that was written."""
+    try:
+        left: dict[str, Any] = json.loads((work / JOB).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return left if {"job", "plan"} <= left.keys() else None
+
+
+def check_same(output: Path, left: dict[str, Any], wanted: dict[str, Any]) -> None:
+    """Raise `InputError` ``blocks-other`` unless a job is the one that was left."""
+    changed = [key for key in {**left, **wanted} if left.get(key) != wanted.get(key)]
+    if changed:
+        raise InputError(
+            f"{output} was left by another job; different: {', '.join(changed)}.",
+            fix=("give the same input, steps and sizes", "begin anew: --overwrite"),
+            code="blocks-other",
+        )
+
+
+def fingerprint(given: Given, volumes: Volumes, pipeline: Pipeline) -> dict[str, Any]:
     """Return what must be the same for slabs to be used again."""
-    changed = given.source.stat().st_mtime_ns if given.source.exists() else 0
-    choices = {name: getattr(volumes.choices, name) for name in volumes.choices.__dataclass_fields__}
     return {
         "source": str(given.source.resolve()),
-        "changed": changed,
-        "choices": choices,
+        "changed": when_changed(given.source),
+        "choices": {name: getattr(volumes.choices, name) for name in volumes.choices.__dataclass_fields__},
         "steps": pipeline.tables(),
-        "planes": plan.side,
     }
 
 
@@ -241,18 +299,18 @@ class Blockwise:
         limits = None
         if self.types["volume"] == "float32":
             limits = self._done("limits", Limits(*self._place("limits"))).limits()
-        counts = self._done("counts", Counts(*self._place("counts"), (), limits))
+        counts = self._done("counts", Counts(*self._place("counts"), limits))
         return [replace(step, params={**settings, "above": counts.threshold(settings["method"])})]
 
     def _label(self, settings: dict[str, Any]) -> None:
         outs = (("volume", self._layout("uint32")),)
-        parts = SlabLabels(*self._place("parts"), outs, settings["rule"], settings["by_value"])
+        parts = SlabLabels(*self._place("parts", outs), settings["rule"], settings["by_value"])
         self._done("numbering parts", parts)
         numbers = parts.folder / "numbers.npy"
         count = parts.merge(settings["least"], numbers)
         begins = np.cumsum([0, *(said["count"] for said in parts.found())])
         self._keep(parts, {"volume": "uint32"})
-        last = Renumber(*self._place("labels"), outs, numbers, tuple(begins.tolist()))
+        last = Renumber(*self._place("labels", outs), numbers, tuple(begins.tolist()))
         self._keep(self._done("joining parts", last), {"volume": "uint32"})
         self.values["count"] = count
 
@@ -266,27 +324,22 @@ class Blockwise:
             made |= {g.name: types.get(g.dtype, g.dtype) for g in step.operator.gives if g.shape}
         takes = [name for step in steps for name in step.operator.takes if name in self.types]
         outs = tuple((name, self._layout(dtype)) for name, dtype in made.items())
-        stage = LocalSteps(*self._place("steps"), outs, Pipeline(tuple(steps)), tuple(dict.fromkeys(takes)))
+        stage = LocalSteps(*self._place("steps", outs), Pipeline(tuple(steps)), tuple(dict.fromkeys(takes)))
         self._keep(self._done(" ".join(step.name for step in steps), stage), made)
         self.values |= stage.found()[0]
 
-    def _place(self, name: str) -> tuple[Path, Volumes, tuple[int, int, int], int]:
-        """Return folder, input and sizes of the next stage."""
+    def _place(self, name: str, outs: Outs = ()) -> tuple[Path, tuple[int, int, int], int, Outs, Volumes]:
+        """Return folder, sizes and input of the next stage."""
         self.stages += 1
-        return self.work / f"{self.stages}-{name}", self.volumes, self.shape, self.plan.side
+        return self.work / f"{self.stages}-{name}", self.shape, self.plan.side, outs, self.volumes
 
     def _layout(self, dtype: str) -> FocalArray:
         given = self.volumes.given
         start_um = float(given.about["z_um"][0]) if "z_um" in given.about else 0.0
-        layout = layout_of(self.shape, dtype, given.spacing_um if given.scaled else None, start_um)
-        return replace(layout, levels=levels_of(layout.shape))
+        return pyramid(layout_of(self.shape, dtype, given.spacing_um if given.scaled else None, start_um))
 
     def _done(self, title: str, stage: S) -> S:
-        """Have a stage done; what is left of an image that was being made is kept with its marks."""
-        stage.folder.mkdir(parents=True, exist_ok=True)
-        for name, layout in stage.outs:
-            if not (stage.image(name) / "zarr.json").exists():
-                create_volume(stage.image(name), name, layout)
+        """Have a stage done."""
         self.do(title, stage)
         return stage
 

@@ -11,10 +11,9 @@ import numpy as np
 
 from devices.errors import InputError
 from processing.block_job import block_job
-from processing.blockwise import COMPILING_MB, amount
+from processing.blockwise import amount, fitted
 from processing.labels import checked_labels
 from processing.measuring import Features
-from processing.outputs import peak_memory_mb
 from processing.pipeline import Pipeline, Step
 from processing.planes import SIDE, Lazy, changed
 from processing.step_inputs import open_layers
@@ -42,19 +41,9 @@ def planes_at_once(shape: tuple[int, ...], memory: str | None) -> int:
     InputError
         ``memory``: not even three planes fit, or no such amount.
     """
-    most = amount(memory)
-    if most is None:
-        return SIDE
-    base, plane = (peak_memory_mb() + COMPILING_MB) * 1e6, float(shape[1] * shape[2] * BYTES_PER_VOXEL)
-    side = int((most - base) / plane - 1) // 2 * 2
-    if side < 2:
-        least = (base + 3 * plane) / 1e9
-        raise InputError(
-            f"{most / 1e9:.2f} GB do not hold the three planes that are measured at once; {least:.2f} GB would.",
-            fix=f"--memory {least:.2f}GB",
-            code="memory",
-        )
-    return min(side, SIDE)
+    plane = float(shape[1] * shape[2] * BYTES_PER_VOXEL)
+    sizes, what = range(SIDE, 1, -2), "the three planes that are measured at once"
+    return fitted(amount(memory), sizes, lambda side: (side + 1) * plane, 1, what)[0]
 
 
 @contextmanager

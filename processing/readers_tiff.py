@@ -96,6 +96,7 @@ class _PlaneReader:
     def __init__(self, file: tifffile.TiffFile) -> None:
         self.file = file
         self._series = file.series[0]
+        file.filehandle.set_lock(lock=True)  # planes are read by several threads, and where to read is the file's own
         weakref.finalize(self, file.close)
 
     def choose(self, choice: Choice, path: Path) -> Layout:
@@ -127,7 +128,8 @@ class _PlaneReader:
         size = int(np.prod(shape))
         offset = self._series.dataoffset + number * size * dtype.itemsize
         stored = dtype.newbyteorder(self.file.byteorder)
-        flat = self.file.filehandle.read_array(stored, count=size, offset=offset)
+        with self.file.filehandle.lock:
+            flat = self.file.filehandle.read_array(stored, count=size, offset=offset)
         return flat.reshape(shape).astype(dtype, copy=False)
 
     def _decoded(self, number: int) -> Array:

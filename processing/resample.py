@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[Any]
 
+NAME, TITLE = "resampled", "resampled to cubic voxels"  # of the volume in files
 Method = Literal["nearest", "linear", "cubic", "bin"]
 BIN_FROM = 3.0  # step over pixel from which binning loses less than interpolation invents
 KEPT = 4  # planes in memory, as many as a cubic needs

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as notation
+import shutil
 import sys
 from pathlib import Path  # noqa: TC003  the command line is made from the annotations
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -14,22 +15,34 @@ from acquire.ome_zarr import FocalArray
 from acquire.progress import progress
 from devices.clock import SystemClock
 from devices.errors import InputError
+from processing.block_options import IN_MEMORY, WORK, Blocks
+from processing.block_source import Source
 from processing.outputs import about_stack, peak_memory_mb, versions, write_durably
 from processing.pictures import png_bytes
-from processing.resample import CubicPlanes, choose_method, default_side, mean_step
+from processing.resample import NAME, TITLE, CubicPlanes, choose_method, default_side, mean_step
 from processing.result_folder import check_results, json_bytes
-from processing.stack import Stack, open_stack
-from processing.volume_files import cuts_picture, publish, volume_names, write_volume
+from processing.volume_files import (
+    cuts_picture,
+    publish,
+    pyramid,
+    stored_planes,
+    volume_names,
+    write_tiff,
+    write_volume,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from numpy.typing import NDArray
+
+    from processing.stack import Stack
+
+    Show = Callable[[int], None]
 
     Array = NDArray[Any]
 
 Switch = Parameter(negative="")
-NAME = "resampled"
 FILES = (*volume_names(NAME), "resampled.png", "report.json")
 GAP = 1.5  # times the usual step
 
@@ -44,6 +57,7 @@ def resample(
     step_um: float | None = None,
     channel: int | None = None,
     time: int | None = None,
+    blocks: Blocks = IN_MEMORY,
     overwrite: Annotated[bool, Switch] = False,
     json: Annotated[bool, Switch] = False,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative="")] = False,
@@ -76,9 +90,13 @@ def resample(
         Show no progress and no notes.
     """
     check_results(output, FILES, overwrite=overwrite)
-    opened = open_stack(stack, step_um=step_um, channel=channel, time=time)
     begin = SystemClock().now()
+    source = Source(stack, step_um, channel, time)
+    opened = source.stack
     planes, notes = cubic_planes(opened, method, side_um, pixel_um)
+    shape = (*planes.shape, *opened.shape[2:])
+    first_um = float(planes.z_um[0])
+    layout = pyramid(FocalArray(len(planes), shape, str(opened.dtype), first_um, planes.side_um, planes.pixel_um))
     report = {
         "format": "stereotome-resample",
         "version": 1,
@@ -89,8 +107,18 @@ def resample(
         "pixel_um": planes.pixel_um,
         "voxels": [len(planes), *planes.shape],
     }
-    with progress("resampling", len(planes), quiet=quiet) as show:
-        publish(output, lambda part: write_all(part, opened, planes, report, show, begin))
+    image = None
+    if blocks.wanted:
+        from processing.resample_blocks import resampled_by_blocks  # noqa: PLC0415  dask takes a second
+
+        size = pixel_um if pixel_um is not None else opened.pixel_um
+        assert size is not None
+        how = (source, size, planes, layout, blocks, output)
+        image = resampled_by_blocks(*how, overwrite=overwrite, quiet=quiet)
+        report["blocks"] = {"memory": blocks.memory}
+    with progress("writing" if image else "resampling", len(planes), quiet=quiet) as show:
+        publish(output, lambda part: write_all(part, image or planes, layout, report, show, begin))
+    shutil.rmtree(output / WORK, ignore_errors=True)
     for note in [] if quiet else report["notes"]:
         sys.stderr.write(f"note: {note}\n")
     sys.stdout.write(notation.dumps(report, ensure_ascii=False) + "\n" if json else summary(report, output))
@@ -127,24 +155,27 @@ def gaps(z_um: NDArray[np.float64]) -> list[str]:
     return [f"between planes {k} and {k + 1} there are {steps[k]:g} µm: what lies there is invented." for k in wide]
 
 
-def write_all(part: Path, stack: Stack, planes: CubicPlanes, report: dict[str, Any], show: Any, begin: float) -> None:
-    """Write the volume, its picture, and the report."""
-    shape = (*planes.shape, *stack.shape[2:])
-    layout = FocalArray(len(planes), shape, str(stack.dtype), float(planes.z_um[0]), planes.side_um, planes.pixel_um)
+def write_all(
+    part: Path, made: CubicPlanes | Path, layout: FocalArray, report: dict[str, Any], show: Show, begin: float
+) -> None:
+    """Write the volume, its picture, and the report; of an image that is there already, all but that."""
     rows: list[Array] = []
     middle: list[Array] = []
 
-    def made() -> Iterator[Array]:
-        for k in range(len(planes)):
-            plane = planes[k]
+    def seen(planes: Iterable[Array]) -> Iterator[Array]:
+        for k, plane in enumerate(planes):
             rows.append(plane[plane.shape[0] // 2])
-            middle[:] = [plane] if k == len(planes) // 2 else middle
+            middle[:] = [plane] if k == layout.planned // 2 else middle
             yield plane
             show(k + 1)
 
-    write_volume(part, NAME, "resampled to cubic voxels", layout, made())
-    cut = np.stack(rows)
-    write_durably(part / "resampled.png", png_bytes(cuts_picture(middle[0], cut)))
+    if isinstance(made, CubicPlanes):
+        write_volume(part, NAME, TITLE, layout, seen(made[k] for k in range(len(made))))
+    else:
+        image, tiff = (part / name for name in volume_names(NAME))
+        made.replace(image)
+        write_tiff(tiff, TITLE, layout, seen(stored_planes(image)))
+    write_durably(part / "resampled.png", png_bytes(cuts_picture(middle[0], np.stack(rows))))
     took = {"seconds": round(SystemClock().now() - begin, 3), "peak_memory_mb": round(peak_memory_mb(), 1)}
     report |= {**took, "versions": versions(), "files": list(FILES)}
     write_durably(part / "report.json", json_bytes(report))

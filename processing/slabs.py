@@ -7,7 +7,6 @@ left for another day. Whole planes, because a shard is a plane: two writers of o
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -15,10 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import zarr
 
-from acquire.ome_zarr import replace_json
+from processing.block_source import when_changed
+from processing.marked import Marked
 from processing.step_inputs import Choices, Given, open_layers
 from processing.tiles import tiles
-from processing.volume_files import write_plane
+from processing.volume_files import create_volume, write_plane
 from processing.volume_filters import TYPES
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def kernel_type(dtype: np.dtype[Any]) -> str:
 
 
 @lru_cache(maxsize=4)
-def _opened(source: Path, choices: Choices) -> Given:
+def _opened(source: Path, choices: Choices, _changed: int) -> Given:
     return open_layers(source, choices)
 
 
@@ -67,7 +67,7 @@ class Volumes:
     @property
     def given(self) -> Given:
         """The input, opened."""
-        return _opened(self.source, self.choices)
+        return _opened(self.source, self.choices, when_changed(self.source))
 
     def read(self, names: Sequence[str], z: slice) -> dict[str, Any]:
         """Read planes of some layers, and what there is besides pixels."""
@@ -88,28 +88,24 @@ def _planes(image: Path, z: slice) -> Array:
 
 
 @dataclass(frozen=True)
-class Stage:
-    """Steps that are taken together on every slab, or a count made over all of them.
+class Slabs(Marked):
+    """Work on slabs of planes, which make planes of images.
 
     Attributes
     ----------
     folder : Path
         Where images and marks are written.
-    volumes : Volumes
-        What it reads.
     shape : tuple of int
         Of the whole volume, (z, y, x).
     side : int
         Planes of a slab.
     outs : tuple of (name, FocalArray)
-        Layers it makes.
+        Images it makes.
     """
 
-    folder: Path
-    volumes: Volumes
     shape: tuple[int, int, int]
     side: int
-    outs: tuple[tuple[str, FocalArray], ...] = ()
+    outs: tuple[tuple[str, FocalArray], ...]
 
     @property
     def halo(self) -> int:
@@ -117,46 +113,60 @@ class Stage:
         return 0
 
     @property
-    def slabs(self) -> list[Tile]:
+    def places(self) -> list[Tile]:
         """All slabs in order."""
         return list(tiles(self.shape, (self.side, *self.shape[1:]), (self.halo, 0, 0)))
+
+    def planes(self, k: int) -> range:
+        """Return the planes of slab ``k``."""
+        here = self.places[k].write[0]
+        return range(here.start, here.stop)
 
     def image(self, name: str) -> Path:
         """Where the image of a layer lies."""
         return self.folder / f"{name}.ome.zarr"
 
-    def mark(self, k: int) -> Path:
-        """Return the file that says that slab ``k`` is done."""
-        return self.folder / f"slab-{k}.json"
+    def title(self, name: str) -> str:
+        """Return what is written in the image of a layer: its name, unless a subclass knows better."""
+        return name
 
-    def pending(self) -> list[int]:
-        """Numbers of the slabs that are not done."""
-        return [k for k in range(len(self.slabs)) if not self.mark(k).exists()]
+    def make_ready(self) -> None:
+        """Make the images; of one that is gone, all slabs are done anew."""
+        super().make_ready()
+        for name, layout in self.outs:
+            if not (self.image(name) / "zarr.json").exists():
+                self.forget()
+                create_volume(self.image(name), self.title(name), layout)
 
-    def found(self) -> list[dict[str, Any]]:
-        """Return what every slab said, in order."""
-        return [json.loads(self.mark(k).read_text(encoding="utf-8")) for k in range(len(self.slabs))]
+    def write(self, name: str, z: int, plane: Array) -> None:
+        """Write a plane of an image."""
+        write_plane(self.image(name), dict(self.outs)[name], z, plane)
+
+
+@dataclass(frozen=True)
+class Stage(Slabs):
+    """Steps that are taken together on every slab, or a count made over all of them.
+
+    Attributes
+    ----------
+    volumes : Volumes
+        What it reads.
+    """
+
+    volumes: Volumes
 
     def compute(self, tile: Tile) -> tuple[dict[str, Array], dict[str, Any]]:
         """Return the planes that a slab makes of each layer, and what it has to say; for subclasses."""
         raise NotImplementedError
 
-    def run(self, k: int) -> None:
-        """Do slab ``k`` and mark it, unless it is marked."""
-        if self.mark(k).exists():
-            return
-        tile = self.slabs[k]
+    def do(self, k: int) -> dict[str, Any]:
+        """Do slab ``k``."""
+        tile = self.places[k]
         made, said = self.compute(tile)
-        for name, layout in self.outs:
-            for z, plane in enumerate(made[name], tile.write[0].start):
-                write_plane(self.image(name), layout, z, plane)
-        replace_json(self.mark(k), said)
-
-
-def run_slab(stage: Stage, k: int) -> int:
-    """Do a slab; a plain function, so that it can be sent to other machines."""
-    stage.run(k)
-    return k
+        for name, _ in self.outs:
+            for z, plane in zip(self.planes(k), made[name], strict=True):
+                self.write(name, z, plane)
+        return said
 
 
 @dataclass(frozen=True)

@@ -70,6 +70,11 @@ def levels_of(shape: tuple[int, ...]) -> int:
     return 1 + max(0, math.ceil(math.log2(max(shape[:2]) / SMALLEST_LEVEL_PX)))
 
 
+def pyramid(layout: FocalArray) -> FocalArray:
+    """Return the layout with smaller versions of every plane."""
+    return replace(layout, levels=levels_of(layout.shape))
+
+
 def create_volume(image: Path, title: str, layout: FocalArray) -> None:
     """Make an OME-Zarr image whose planes are not yet written; its ``zarr.json`` comes last."""
     for level in range(layout.levels):
@@ -90,6 +95,14 @@ def write_plane(image: Path, layout: FocalArray, k: int, plane: Array) -> None:
                 os.fsync(file.fileno())
         if level + 1 < layout.levels:
             plane = halved(plane)
+
+
+def stored_planes(image: Path) -> Iterator[Array]:
+    """Yield the planes of an image that was written here."""
+    array: Any = zarr.open_array(image / "0", mode="r")
+    for k in range(array.shape[2]):
+        plane = np.asarray(array[0, :, k])
+        yield plane[0] if len(plane) == 1 else np.ascontiguousarray(np.moveaxis(plane, 0, -1))
 
 
 def halved(plane: Array) -> Array:
@@ -117,7 +130,7 @@ def write_volume(folder: Path, name: str, title: str, layout: FocalArray, planes
         uint8, uint16, uint32 or float32.
     """
     zarr_name, tiff_name = volume_names(name)
-    layout = replace(layout, levels=levels_of(layout.shape))
+    layout = pyramid(layout)
     create_volume(folder / zarr_name, title, layout)
 
     def copied() -> Iterator[Array]:
@@ -125,9 +138,14 @@ def write_volume(folder: Path, name: str, title: str, layout: FocalArray, planes
             write_plane(folder / zarr_name, layout, k, plane)
             yield plane
 
-    with tifffile.TiffWriter(folder / tiff_name, bigtiff=True, ome=True) as tiff:
+    write_tiff(folder / tiff_name, title, layout, copied())
+
+
+def write_tiff(path: Path, title: str, layout: FocalArray, planes: Iterator[Array]) -> None:
+    """Write the planes of a volume as OME-TIFF, each asked for once; arguments as for `write_volume`."""
+    with tifffile.TiffWriter(path, bigtiff=True, ome=True) as tiff:
         tiff.write(
-            copied(),
+            planes,
             shape=(layout.planned, *layout.shape),
             dtype=layout.dtype,
             photometric="rgb" if layout.bands == 3 else "minisblack",

@@ -16,7 +16,7 @@ from scipy import ndimage
 from acquire.ome_zarr import FocalArray
 from devices.cli import run
 from devices.errors import InputError
-from processing import block_runners, blockwise, slabs
+from processing import block_runners, blockwise, marked, slabs
 from processing.labels import components
 from processing.masks import threshold
 from processing.stack import open_stack
@@ -106,9 +106,9 @@ def test_a_job_that_was_left_goes_on_where_it_was(
     assert "blocks-left" in capsys.readouterr().err
     assert process(data, out, "filter.median", "--memory", "100GB", "--resume") == 2
     assert "different: steps" in capsys.readouterr().err
-    marks = {path: path.stat().st_mtime_ns for path in out.glob(".blocks/1-steps/slab-*.json")}
+    marks = {path: path.stat().st_mtime_ns for path in out.glob(".blocks/1-steps/part-*.json")}
     assert marks
-    half = next(k for k in range(6) if not (out / ".blocks" / "1-steps" / f"slab-{k}.json").exists())
+    half = next(k for k in range(6) if not (out / ".blocks" / "1-steps" / f"part-{k}.json").exists())
     torn = out / ".blocks" / "1-steps" / "volume.ome.zarr" / "0" / "c" / "0" / "0" / str(4 * half) / "0"
     torn.mkdir(parents=True, exist_ok=True)
     (torn / "0").write_bytes(b"half a shard")
@@ -180,7 +180,7 @@ def _kill_the_first(stage, k):
     try:
         once.touch(exist_ok=False)
     except FileExistsError:
-        return slabs.run_slab(stage, k)
+        return marked.run_part(stage, k)
     os.kill(os.getpid(), signal.SIGKILL)
     return k
 
@@ -193,7 +193,7 @@ def test_workers_of_which_one_is_killed_give_the_same(
 
     monkeypatch.setenv("KILL_ONCE", str(tmp_path / "killed"))
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
-    monkeypatch.setattr(block_runners, "run_slab", _kill_the_first)
+    monkeypatch.setattr(block_runners, "run_part", _kill_the_first)
     words = ["mask.threshold:above=110", "--then", "label.components:rule=6"]
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster:
         assert process(data, tmp_path / "out", *words, "--scheduler", cluster.scheduler_address) == 0
