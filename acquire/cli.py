@@ -240,7 +240,8 @@ def _summary(plan: RunPlan, cost: Estimate) -> str:
 def _repeats(plan: RunPlan) -> str:
     if plan.sections is None:
         return f"{plan.times} points in time"
-    return f"{plan.times} sections of {plan.sections.thickness_nm} nm ({plan.sections.removals} removals)"
+    cuts = plan.sections
+    return f"{plan.times} sections of {cuts.thickness_nm} nm ({cuts.removals} removals), {cuts.depth_um:g} µm in all,"
 
 
 def _dry_run(recipe: Recipe, spec: RigSpec, out: Path | None, tell: Callable[[dict[str, Any]], None]) -> int:
@@ -260,6 +261,7 @@ def _event_of(timed: TimedStep, plan: RunPlan) -> dict[str, Any]:
     event: dict[str, Any] = {"event": "plan", "do": str(step.kind), "at_s": round(timed.at_s, 2)}
     event |= {"section": step.section} if plan.times > 1 or plan.sections else {}
     event |= {"moves_um": [to_um(target_nm) for target_nm in step.moves_nm]} if step.moves_nm else {}
+    event |= {"thickness_nm": step.thickness_nm} if step.kind is Kind.FEED else {}
     if step.kind is Kind.EXPOSE:
         event |= {"plane": step.plane, "band": step.band, "z_um": plan.stack.plane(step.plane).z_um}
     return event

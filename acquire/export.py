@@ -14,7 +14,8 @@ import tifffile
 import zarr
 from cyclopts import Parameter
 
-from acquire.grid import grid_of
+from acquire.depths import depths_nm
+from acquire.grid import NM_PER_UM, grid_of
 from acquire.ome_zarr import sync_folder
 from acquire.progress import progress
 from acquire.recorder import disk_failed
@@ -73,6 +74,8 @@ def export(
             raise disk_failed(error) from error
         finally:
             _remove(part)
+    if grid.remark:
+        sys.stderr.write(f"note: {grid.remark}.\n")
     for plane in stored.missing:
         left = "is black there" if plane in grid.slots else "is left out"
         sys.stderr.write(f"note: plane {plane} was never taken; in the copy it {left}.\n")
@@ -162,7 +165,9 @@ def _ome(stored: StoredRun, grid: Grid) -> dict[str, Any]:
         for axis in "XY":
             metadata |= {f"PhysicalSize{axis}": layout.pixel_um, f"PhysicalSize{axis}Unit": "µm"}
     missing = [slot for slot in grid.slots.ravel().tolist() if slot not in stored.planes]
-    return metadata | ({"Description": f"never taken, black: planes {missing}"} if missing else {})
+    remarks = [grid.remark] if grid.remark else []
+    remarks += [f"never taken, black: planes {missing}"] if missing else []
+    return metadata | ({"Description": "; ".join(remarks)} if remarks else {})
 
 
 def facts_of(stored: StoredRun, grid: Grid) -> list[dict[str, Any]]:
@@ -170,8 +175,10 @@ def facts_of(stored: StoredRun, grid: Grid) -> list[dict[str, Any]]:
     facts = [plane_facts(stored, slot) for slot in grid.slots.ravel().tolist()]
     depths = grid.slots.shape[2]
     if depths > stored.layout.planes_each:
+        depth_nm, _ = depths_nm(stored, range(depths))
+        place_um = grid.step_um * np.arange(depths) if depth_nm is None else (depth_nm - depth_nm[0]) / NM_PER_UM
         for k, told in enumerate(facts):
-            told["z_um"] = grid.start_um + k % depths * grid.step_um
+            told["z_um"] = grid.start_um + float(place_um[k % depths])
     return facts
 
 
@@ -220,7 +227,8 @@ def write_ome_zarr(
 def _zarr_attributes(stored: StoredRun, grid: Grid, version: str) -> dict[str, Any]:
     placed = replace(stored.layout, start_um=grid.start_um, step_um=grid.step_um)
     ome = placed.group_json(str(stored.manifest["name"]))["attributes"]["ome"]
-    own = {"planes": facts_of(stored, grid)}
+    own: dict[str, Any] = {"planes": facts_of(stored, grid)}
+    own |= {"remark": grid.remark} if grid.remark else {}
     if version == "0.5":
         return {"ome": ome, "stereotome": own}
     return {"multiscales": [{**ome["multiscales"][0], "version": "0.4"}], "omero": ome["omero"], "stereotome": own}

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from acquire.depths import planned_depths_nm, planned_nm
 from devices.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,11 +26,14 @@ class Grid:
         Which plane of the run lies there.
     start_um, step_um : float
         Position of the first plane along z, and signed distance of planes.
+    remark : str
+        What has to be told of that distance, if anything.
     """
 
     slots: np.ndarray
     start_um: float
     step_um: float
+    remark: str = ""
 
 
 def grid_of(stored: StoredRun, sections: Literal["t", "z"] = "t") -> Grid:
@@ -59,9 +63,16 @@ def grid_of(stored: StoredRun, sections: Literal["t", "z"] = "t") -> Grid:
             ),
             code="usage",
         )
-    return Grid(slots[:, :, 0].T[None], 0.0, _thickness_um(stored))
+    return Grid(slots[:, :, 0].T[None], 0.0, *_thickness_um(stored, taken))
 
 
-def _thickness_um(stored: StoredRun) -> float:
-    plan = stored.manifest["plan"].get("sections") or {}
-    return float(plan.get("thickness_nm", 0)) / NM_PER_UM or 1.0
+def _thickness_um(stored: StoredRun, taken: int) -> tuple[float, str]:
+    """Return how far the sections are apart as planned, and what has to be told of it."""
+    thickness_nm = planned_nm(stored)
+    if thickness_nm is None:
+        return 1.0, ""
+    if len(thickness_nm.ranges) == 1 or taken < 2:
+        return thickness_nm.nm(1) / NM_PER_UM, ""
+    first_nm, last_nm = planned_depths_nm(stored, (0, taken - 1))
+    words = f"sections of {thickness_nm} nm: one spacing stands for all, their mean; where each lies is told with it"
+    return float(last_nm - first_nm) / (taken - 1) / NM_PER_UM, words

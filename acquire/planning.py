@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from acquire.estimate import Pace
 from acquire.optics import depth_of_field_um, nyquist_step_um
+from acquire.per_cut import per_cut
 from acquire.plan import StackPlan, listed, steps_in_range
 from acquire.recipe import BandUse
 from acquire.run_plan import BandPlan, RunPlan, SectionPlan, SeriesPlan
@@ -16,6 +17,7 @@ from devices.feed_spec import KnifeSpec
 from devices.values import to_nm
 
 if TYPE_CHECKING:
+    from acquire.per_cut import PerCut
     from acquire.recipe import Recipe, SectionsSpec, StackSpec
     from devices.feed_spec import FeedLimits, FeedSpec
     from devices.rig import OpticsSpec, RigSpec
@@ -127,7 +129,7 @@ def _plan_sections(table: SectionsSpec, rig: RigSpec) -> SectionPlan:
         )
     plan = SectionPlan(
         count=table.sections,
-        thickness_nm=round(table.thickness_nm),
+        thickness_nm=table.thickness_nm.each(round),
         park_nm=to_nm(rig.stage.z.park_um),
         removal="polish" if rig.microtome.kind == "polisher" else "cut",
         remove_first=table.cut_then_image,
@@ -142,23 +144,24 @@ def _plan_sections(table: SectionsSpec, rig: RigSpec) -> SectionPlan:
     return plan
 
 
-def thickness_tolerance_nm(table: SectionsSpec, feed: FeedSpec) -> int:
-    """Return how far a section may be off; two readings of a feed are each good to half a count and one at rest."""
+def thickness_tolerance_nm(table: SectionsSpec, feed: FeedSpec) -> PerCut:
+    """Return how far a cut may be off; two readings of a feed are each good to half a count and one at rest."""
     if table.thickness_tolerance_nm is not None:
-        return round(table.thickness_tolerance_nm)
+        return per_cut(round(table.thickness_tolerance_nm))
     count_nm = NM_PER_UM / feed.feed_profile().axis.counts_per_um
-    return round(max(TOLERANCE * table.thickness_nm, READING_COUNTS * count_nm))
+    return table.thickness_nm.each(lambda nm: round(max(TOLERANCE * nm, READING_COUNTS * count_nm)))
 
 
 def _check_feed(plan: SectionPlan, limits: FeedLimits) -> None:
     """Raise `LimitError` if a section is too thin or thick, or all together are deeper than the feed's whole travel."""
-    if not limits.thickness_nm_min <= plan.thickness_nm <= limits.thickness_nm_max:
-        raise LimitError(
-            f"feed: a section of {plan.thickness_nm} nm is not within {limits.thickness_nm_min:g} … "
-            f"{limits.thickness_nm_max:g} nm. Nothing moved.",
-            fix="choose another thickness, or change limits in [microtome].",
-        )
-    depth_um, travel_um = plan.removals * plan.thickness_nm / 1000, limits.feed_um_max - limits.feed_um_min
+    for thickness_nm in plan.thickness_nm.extremes_nm:
+        if not limits.thickness_nm_min <= thickness_nm <= limits.thickness_nm_max:
+            raise LimitError(
+                f"feed: a section of {thickness_nm:g} nm is not within {limits.thickness_nm_min:g} … "
+                f"{limits.thickness_nm_max:g} nm. Nothing moved.",
+                fix="choose another thickness, or change limits in [microtome].",
+            )
+    depth_um, travel_um = plan.depth_um, limits.feed_um_max - limits.feed_um_min
     if depth_um > travel_um:
         raise LimitError(
             f"feed: {plan.removals} sections of {plan.thickness_nm} nm are {depth_um:.1f} µm deep; the feed travels "

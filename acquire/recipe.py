@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, PlainSerializer, PlainValidator, WithJsonSchema, model_validator
 
+from acquire.per_cut import PerCut, per_cut
 from acquire.plan import DEFAULT_TOLERANCE_NM
 from acquire.verdict import Finding
 from devices.errors import PlanError
@@ -16,6 +17,21 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 Positive = Annotated[float, Field(gt=0)]
+
+
+def _whole_nm(told: object) -> PerCut:
+    """Return what is told of each cut; of what rounds to 0 nm, raise `ValueError`."""
+    cuts = per_cut(told)
+    cuts.each(round)
+    return cuts
+
+
+EachCut = Annotated[
+    PerCut,
+    PlainValidator(_whole_nm),
+    PlainSerializer(lambda cuts: cuts.told),
+    WithJsonSchema({"anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"type": "string"}]}),
+]
 
 
 class OutputSpec(Table):
@@ -214,8 +230,8 @@ class SectionsSpec(Table):
         Faces to image.
     depth_um : float or None
         Instead of ``count``: as many as go into this depth.
-    thickness_nm : float
-        What is taken off between two faces.
+    thickness_nm : float or str
+        What is taken off between two faces, or ranges of cuts with a thickness each, ``"1-20: 100, 21-: 50"``.
     cut_then_image : bool
         The face that is there at the start is cut away before the first image; else it is the first image.
     clean : str
@@ -235,7 +251,7 @@ class SectionsSpec(Table):
 
     count: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
     depth_um: Positive | None = None
-    thickness_nm: Positive
+    thickness_nm: EachCut
     thickness_tolerance_nm: Positive | None = None
     cut_then_image: bool = True
     clean: Literal["ask", "wash"] = "ask"
@@ -250,8 +266,10 @@ class SectionsSpec(Table):
     def _makes_sense(self) -> SectionsSpec:
         if (self.count is None) == (self.depth_um is None):
             raise ValueError("give either count or depth_um")
-        if self.depth_um is not None and self.depth_um * 1000 < self.thickness_nm:
-            raise ValueError(f"depth_um {self.depth_um:g} is less than one section of {self.thickness_nm:g} nm")
+        if self.sections < 1:
+            raise ValueError(f"depth_um {self.depth_um:g} is less than one section of {self.thickness_nm.nm(1):g} nm")
+        if self.count is not None:
+            self.thickness_nm.check(self.count if self.cut_then_image else self.count - 1)
         return self
 
     @property
@@ -260,7 +278,7 @@ class SectionsSpec(Table):
         if self.count is not None:
             return self.count
         assert self.depth_um is not None
-        return int(to_nm(self.depth_um) // round(self.thickness_nm))
+        return self.thickness_nm.each(round).cuts_within(to_nm(self.depth_um))
 
     @property
     def accepts(self) -> frozenset[Finding]:

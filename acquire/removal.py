@@ -261,10 +261,11 @@ class Removal:
 
     def _judge_thickness(self, section: int) -> None:
         """Raise `Doubt` if the section is of another thickness than planned; noted, and accepted if that was said."""
-        if self._plan.tolerance_nm is None:
+        plan, cut = self._plan, self._plan.cut(section)
+        if plan.tolerance_nm is None:
             return
         try:
-            check_thickness(self.known, self._plan.thickness_nm, self._plan.tolerance_nm)
+            check_thickness(self.known, plan.thickness_nm.nm(cut), plan.tolerance_nm.nm(cut))
         except Doubt as doubt:
             figures = {"fed_nm": self.known.fed_nm}
             told = {"section": section, "finding": str(Finding.THICKNESS), "words": doubt.question.words}

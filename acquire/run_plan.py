@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Literal
 
+from acquire.per_cut import PerCut, per_cut
 from acquire.plan import StackPlan, id_of
 from devices.errors import PlanError
 from devices.values import to_um
@@ -66,8 +67,10 @@ class SectionPlan:
 
     Attributes
     ----------
-    count, thickness_nm : int
-        How many faces are imaged, and what lies between two of them.
+    count : int
+        How many faces are imaged.
+    thickness_nm : PerCut
+        What each cut takes off, in whole nm.
     park_nm : int
         Where the stage is while feed and knife move.
     removal : str
@@ -84,12 +87,12 @@ class SectionPlan:
         Sections between two runs of the autofocus; 0 never.
     focus_step_nm : int
         What the focus may be moved at most from one section to the next.
-    tolerance_nm : int or None
-        How far what the feed read back may be off the thickness before anybody is asked; None never.
+    tolerance_nm : PerCut or None
+        How far what the feed read back for a cut may be off before anybody is asked; None never.
     """
 
     count: int
-    thickness_nm: int
+    thickness_nm: PerCut
     park_nm: int
     removal: Removal = "cut"
     remove_first: bool = True
@@ -98,12 +101,12 @@ class SectionPlan:
     sweep_nm: int = 1000
     focus_every: int = 0
     focus_step_nm: int = 2000
-    tolerance_nm: int | None = None
+    tolerance_nm: PerCut | None = None
 
     def __post_init__(self) -> None:
         if self.count < 1:
             raise PlanError("the run has no sections.", fix="set sections.count.")
-        if self.thickness_nm < 1:
+        if self.thickness_nm.cuts is not None and self.thickness_nm.cuts < self.removals:
             raise PlanError("a section has no thickness.", fix="set sections.thickness_nm.")
 
     @property
@@ -111,17 +114,28 @@ class SectionPlan:
         """How many times material is removed."""
         return self.count if self.remove_first else self.count - 1
 
+    @property
+    def depth_um(self) -> float:
+        """What all cuts together take off."""
+        return self.thickness_nm.total_nm(self.removals) / 1000
+
     def removes(self, section: int) -> bool:
         """Tell whether something is removed before a section is imaged."""
         return section > 0 or self.remove_first
 
     def canonical(self) -> dict[str, Any]:
         """Return the plan as plain data; what came later than the first runs is left out where it is not used."""
-        return {key: value for key, value in asdict(self).items() if (key, value) != ("tolerance_nm", None)}
+        tolerance = {} if self.tolerance_nm is None else {"tolerance_nm": self.tolerance_nm.told}
+        plain = {key: value for key, value in asdict(self).items() if key != "tolerance_nm"}
+        return {**plain, "thickness_nm": self.thickness_nm.told, **tolerance}
+
+    def cut(self, section: int) -> int:
+        """Return which cut lays a section's face free, from 1; 0 for a face that is there at the start."""
+        return section + self.remove_first
 
     def depth_nm(self, section: int, origin_nm: float) -> float:
         """Return the feed's place for a section, from where it stood at the start; never a sum of rounded steps."""
-        return origin_nm + (section + self.remove_first) * self.thickness_nm
+        return origin_nm + self.thickness_nm.total_nm(self.cut(section))
 
 
 @dataclass(frozen=True)
@@ -245,7 +259,7 @@ class RunPlan:
 
     def _removal(self, section: int, sections: SectionPlan) -> Iterator[Step]:
         yield Step(Kind.PARK, section, moves_nm=(sections.park_nm,))
-        yield Step(Kind.FEED, section, thickness_nm=sections.thickness_nm)
+        yield Step(Kind.FEED, section, thickness_nm=round(sections.thickness_nm.nm(sections.cut(section))))
         if sections.removal == "cut":
             yield Step(Kind.CUT, section)
             yield Step(Kind.CLEAR, section)
@@ -294,11 +308,18 @@ def plan_from(canonical: dict[str, Any]) -> RunPlan:
     return RunPlan(
         stack=_stack_from(canonical["stack"]),
         bands=tuple(BandPlan(**band) for band in canonical["bands"]),
-        sections=SectionPlan(**canonical["sections"]) if canonical["sections"] else None,
+        sections=_sections_from(canonical["sections"]) if canonical["sections"] else None,
         series=SeriesPlan(**canonical["series"]) if canonical["series"] else None,
         plane_by_plane=canonical["plane_by_plane"],
         tilts_deg=tuple(canonical["tilts_deg"]),
     )
+
+
+def _sections_from(canonical: dict[str, Any]) -> SectionPlan:
+    told: dict[str, Any] = {
+        key: per_cut(canonical[key]) for key in ("thickness_nm", "tolerance_nm") if key in canonical
+    }
+    return SectionPlan(**{**canonical, **told})
 
 
 def _stack_from(canonical: dict[str, Any]) -> StackPlan:

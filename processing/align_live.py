@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from acquire.depths import depths_nm
 from acquire.ring import WriterGone
 from acquire.store import open_run
 from devices.clock import SystemClock
@@ -17,7 +18,7 @@ from devices.errors import InputError
 from processing.align_models import applied, deformation
 from processing.align_stack import SectionAligner
 from processing.readers import Recording
-from processing.readers_run import NM_PER_UM, depths_nm, is_cut
+from processing.readers_run import NM_PER_UM, is_cut
 from processing.stack import Stack
 from processing.watchers import LOOK_S, joined, keep_csv, wait_for_end
 

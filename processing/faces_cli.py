@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from cyclopts import Parameter
 
+from acquire.depths import depths_nm
 from acquire.measures import focus_energy
 from acquire.ome_zarr import FocalArray
 from acquire.progress import progress
@@ -16,7 +17,7 @@ from acquire.store import open_run
 from devices.errors import InputError
 from processing.focus import focus_stack
 from processing.outputs import versions, write_durably
-from processing.readers_run import NM_PER_UM, depths_nm, is_cut
+from processing.readers_run import NM_PER_UM, is_cut
 from processing.result_folder import check_results, json_bytes
 from processing.stack import open_stack
 from processing.volume_files import publish, volume_names, write_volume

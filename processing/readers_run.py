@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from acquire.depths import depths_nm
 from acquire.store import RunEnd, StoredRun, open_run
 from devices.errors import InputError
 from processing.readers import Choice, Recording, choose_channel, choose_time
@@ -101,27 +102,6 @@ def _read_back(run: StoredRun, there: list[int]) -> tuple[NDArray[np.float64], l
         return z_um, []
     words = "the stage read back one position for several planes: they are placed where it was sent."
     return np.array([header.setpoint_um for header in headers]), [words]
-
-
-def depths_nm(run: StoredRun, sections: list[int]) -> tuple[NDArray[np.float64] | None, list[str]]:
-    """Return how deep each face lies, and in words how that is known; None if nothing is known of it.
-
-    What the feed read back goes before the planned thickness, unless it is missing for a section or does not rise.
-    """
-    read: dict[int, float] = {}
-    for record in run.records:
-        if record["e"] == "origin":
-            read[0] = record["depth_nm"]  # of a face that is imaged as it is; one that is removed first is fed, below
-        elif record["e"] == "feed_done":
-            read[record["section"]] = record["readback_nm"]
-    if all(section in read for section in sections):
-        depth_nm = np.array([read[section] for section in sections], float)
-        if (np.diff(depth_nm) > 0).all():
-            return depth_nm, ["the planes are sections, as far apart as the feed read back."]
-    thickness_nm = run.manifest["plan"]["sections"].get("thickness_nm") or 0
-    if not thickness_nm > 0:
-        return None, ["the planes are sections of unknown thickness."]
-    return np.array(sections, float) * thickness_nm, [f"the planes are sections, {thickness_nm:g} nm apart as planned."]
 
 
 def _remarks(run: StoredRun) -> list[str]:

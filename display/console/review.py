@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import tifffile
 
+from acquire.depths import depths_nm
 from acquire.store import is_run, open_run
 from devices.errors import InputError, StereotomeError
 from display.controls import Shown
@@ -27,7 +28,7 @@ from display.stereo import Stereo
 from processing.heights import read_heights
 from processing.outputs import write_durably
 from processing.pictures import png_bytes
-from processing.readers_run import NM_PER_UM, depths_nm, is_cut
+from processing.readers_run import NM_PER_UM, is_cut
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -17,6 +17,7 @@ from acquire.store import RunEnd, open_run
 from devices.errors import StereotomeError
 
 SECTIONS = 2
+THICKNESS = '= "1: 500, 2-: 300"'  # the run changes it between its two cuts, wherever it is killed
 CUTS = {f"{RECORD} {when} cut_{what}" for when in ("before", "after") for what in ("intent", "done")}
 IN_CI = 200
 AWAY_S = (0.0, 0.3, 60.0)
@@ -37,7 +38,9 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def stable(folder):
-    instrument, recipe = files(folder, BENCH, RECIPE.replace("count = 3", f"count = {SECTIONS}"))
+    instrument, recipe = files(
+        folder, BENCH, RECIPE.replace("count = 3", f"count = {SECTIONS}").replace("= 500", THICKNESS)
+    )
     horses = Stable(instrument, recipe, folder / "stable")
     yield horses
     horses.close()
@@ -53,6 +56,7 @@ def whole(stable, folder):
     """The run that nothing interrupts: its instants, its planes, and what became of the block."""
     told = stable.run(folder / "whole")
     assert told["state"] == "COMPLETED", told
+    assert stable.truth()["removed_um"] == pytest.approx([0.0, 0.3], abs=0.002)  # of the first cut, the touch
     return told["labels"], planes_of(folder / "whole"), stable.truth()
 
 

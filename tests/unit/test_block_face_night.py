@@ -53,7 +53,10 @@ def night(where, instrument, recipe):
 
 def test_a_night_with_debris_a_jam_and_a_full_disk_is_complete_in_the_morning(start_bench, tmp_path, sections):
     stack = RECIPE.replace("top_um = 2.0\nbottom_um = -2.0\nstep = 4.0", STACK)
-    instrument, recipe = files(tmp_path, BLOCK, stack.replace("count = 3", f"count = {sections}"))
+    thick = sections // 2 + 1  # the cut that jams is the first thin one
+    thickness = f'thickness_nm = "1-{thick}: 500, {thick + 1}-: 300"'
+    text = stack.replace("count = 3", f"count = {sections}").replace("thickness_nm = 500", thickness)
+    instrument, recipe = files(tmp_path, BLOCK, text)
     bench = homed(start_bench, instrument, f"block.debris@{sections // 3}")
     where, fill, codes = tmp_path / "disk", tmp_path / "disk.fill", []
     where.mkdir()
@@ -84,7 +87,7 @@ def test_a_night_with_debris_a_jam_and_a_full_disk_is_complete_in_the_morning(st
     assert (run.state, run.missing) == (RunEnd.COMPLETED, [])
     assert cuts(bench) == sections + 1  # one of them wiped the debris away
     removed = bench.ask(do="truth")["counters"]["feed"]["removed_um"]
-    assert sorted(round(1000 * um) for um in removed[1:]) == [0, *[500] * (sections - 1)]
+    assert sorted(round(1000 * um) for um in removed[1:]) == [0, *[300] * (sections - thick), *[500] * (thick - 1)]
     text = (run.folder / "report.md").read_text()
     for told in (
         "COMPLETED",

@@ -14,6 +14,7 @@ from wires import stereotome
 
 from acquire.engine import RunState
 from acquire.estimate import Pace, estimate, timed_steps
+from acquire.per_cut import per_cut
 from acquire.plan import StackPlan
 from acquire.planning import plan_run
 from acquire.recipe import Recipe
@@ -87,7 +88,7 @@ whole = st.integers(1, 4)
 @given(whole, whole, whole, st.booleans(), st.sampled_from(["sections", "series", "tilts"]), st.booleans())
 def test_every_slot_is_exposed_once_in_order_of_time(times, bands, planes, by_plane, what, remove_first):
     kinds = {
-        "sections": {"sections": SectionPlan(times, 100, 0, remove_first=remove_first)},
+        "sections": {"sections": SectionPlan(times, per_cut(100), 0, remove_first=remove_first)},
         "series": {"series": SeriesPlan(times, 10.0)},
         "tilts": {"tilts_deg": tuple(float(k) for k in range(times))},
     }
@@ -107,7 +108,7 @@ def test_every_slot_is_exposed_once_in_order_of_time(times, bands, planes, by_pl
 
 
 def test_the_estimate_counts_settling_cutting_and_light_on_one_face():
-    plan = RunPlan(StackPlan(0, 1000, 2, 10.0), sections=SectionPlan(3, 500, -5000))
+    plan = RunPlan(StackPlan(0, 1000, 2, 10.0), sections=SectionPlan(3, per_cut(500), -5000))
     cost = estimate(plan, 100, Pace(1000.0, 0.1, overhead_s=0.0, feed_um_s=1.0, cut_s=4.0))
     assert (cost.planes, cost.bytes_on_disk) == (6, 600)
     assert (cost.exposure_s, cost.dose_s) == pytest.approx((0.06, 0.02))
