@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 TABLES = ("gray", "viridis", "magma", "cividis", "hot", "turbo")
 GAMMAS = (0.2, 5.0)
-LOWEST_BAR = 0.0
+MOST_IGNORED = 20.0
 Auto = Literal["off", "continuous"]
 
 
@@ -105,9 +105,11 @@ def dragged(contrast: Contrast, end: Literal["low", "high"], level: float, top: 
     return replace(contrast, high=max(min(level, float(top)), contrast.low + 1), auto="off")
 
 
-def with_gamma(contrast: Contrast, gamma: float) -> Contrast:
-    """Return the contrast with another gamma, within what can be told apart."""
-    return replace(contrast, gamma=min(max(gamma, GAMMAS[0]), GAMMAS[1]))
+def chosen(contrast: Contrast, *, gamma: float, table: str, paint: bool, ignored_percent: float) -> Contrast:
+    """Return the contrast with what was chosen by hand, within what can be told apart."""
+    gamma = min(max(gamma, GAMMAS[0]), GAMMAS[1])
+    ignored_percent = min(max(ignored_percent, 0.0), MOST_IGNORED)
+    return replace(contrast, gamma=gamma, table=table, paint=paint, ignored_percent=ignored_percent)
 
 
 @cache

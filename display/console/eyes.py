@@ -59,7 +59,9 @@ class Seen:
 def histogram_of(pixels: np.ndarray, top: int) -> Histogram:
     """Return the histogram of every pixel, bands together."""
     counts = cv2.calcHist([pixels.reshape(pixels.shape[0], -1)], [0], None, [BINS], [0, float(top + 1)])
-    return Histogram(np.ravel(counts).astype(np.int64), top)
+    histogram = Histogram(np.ravel(counts).astype(np.int64), top)
+    _ = histogram.bars  # in this thread, not in that of the window which draws them
+    return histogram
 
 
 def middle(pixels: np.ndarray, side: int = SCORED_PX) -> np.ndarray:

@@ -26,6 +26,7 @@ from display.console.viewing import LIVE, REVIEW, VIEWS, Viewing
 
 if TYPE_CHECKING:
     from devices.protocols import Clock
+    from devices.rig import RigSpec
     from display.console.bench import Bench
     from display.console.eyes import Eyes
     from display.console.journal import Journal
@@ -97,7 +98,10 @@ class Console:
         self.measured = ""
         self.pause_scope = "plane"
         self.clock = clock or SystemClock()
+        self._folder = settings_folder()
         self._fits_first = True
+        self._advised_for: RigSpec | None = None
+        self._advice: Advice | None = None
         self._planned_for = ""
         self._planned_s = float("-inf")
         self._planning = False
@@ -113,17 +117,20 @@ class Console:
     @property
     def run(self) -> replies.RunView | None:
         """The run under way, or the last one."""
-        return None if self.state is None else self.state.run
+        state = self.state
+        return None if state is None else state.run
 
     @property
     def running(self) -> bool:
         """Whether a run has the devices."""
-        return self.state is not None and self.state.state != RunState.IDLE
+        state = self.state
+        return state is not None and state.state != RunState.IDLE
 
     @property
     def stopped(self) -> bool:
         """Whether STOP is latched, here or at the instrument."""
-        return self.bench.stop_asked or (self.state is not None and self.state.stopped)
+        state = self.state
+        return self.bench.stop_asked or (state is not None and state.stopped)
 
     @property
     def top(self) -> int:
@@ -146,12 +153,16 @@ class Console:
     @property
     def advice(self) -> Advice | None:
         """What the optics say about the distance of planes."""
-        return None if self.bench.rig is None else advice(self.bench.rig)
+        rig = self.bench.rig
+        if rig is not self._advised_for:  # asked in every frame
+            self._advised_for, self._advice = rig, None if rig is None else advice(rig)
+        return self._advice
 
     @property
     def feed(self) -> replies.FeedView | None:
         """Feed and knife as read last; None without them."""
-        return None if self.state is None else self.state.feed
+        state = self.state
+        return None if state is None else state.feed
 
     def why_no_motion(self) -> str:
         """Return why nothing can be moved by hand now; empty when it can."""
@@ -201,7 +212,7 @@ class Console:
             self.queue.leave()
             return
         try:
-            self.queue.keep(queue_file(settings_folder(), rig.name))
+            self.queue.keep(queue_file(self._folder, rig.name))
         except OSError as error:
             self.journal.add("error", "queue", f"it cannot be kept: {error}")
 
@@ -412,7 +423,7 @@ class Console:
 
     def _alarm(self) -> None:
         if self.settings.sound:
-            sound(settings_folder() / SOUND)
+            sound(self._folder / SOUND)
 
     def remember(self) -> None:
         """Put what is chosen now into the settings."""

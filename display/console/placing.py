@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 ZOOM_STEP = 1.25
 ZOOMS = (1.0, 64.0)
@@ -101,6 +102,7 @@ def inside(
     return None if min(width, height) < least else (x, y, width, height)
 
 
+@lru_cache(maxsize=8)  # asked in every frame
 def scale_bar(um_per_place: float, panel_width: float) -> tuple[float, float]:
     """Return a round length in µm, a 1, 2 or 5 with zeros, that fills up to a quarter of the panel, and its width."""
     most_um = um_per_place * panel_width * BAR_SHARE

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import asdict, dataclass, field
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 from acquire import replies, requests
@@ -29,6 +29,7 @@ class Queued:
     recipe: str
 
 
+@cache
 def queue_file(folder: Path, instrument: str) -> Path:
     """Return the file in which the runs that wait for an instrument are kept."""
     return folder / f"queue-{re.sub(r'[^A-Za-z0-9._-]', '_', instrument)[:60]}.json"

@@ -108,7 +108,6 @@ def _histogram(console: Console, seen: Seen) -> None:
 
 
 def _contrast(console: Console) -> None:
-    contrast = console.contrast
     if w.button("Fit", "", "A: fit the limits to this frame, once"):
         console.auto_contrast()
     imgui.same_line()
@@ -116,12 +115,11 @@ def _contrast(console: Console) -> None:
     if changed:
         console.contrast = replace(console.contrast, auto="continuous" if on else "off")
     imgui.same_line()
-    _, ignored = w.number("% ignored", contrast.ignored_percent, 4)
-    console.contrast = replace(console.contrast, ignored_percent=min(max(ignored, 0.0), 20.0))
+    _, ignored = w.number("% ignored", console.contrast.ignored_percent, 4)
     _levels(console)
+    contrast = console.contrast
     imgui.set_next_item_width(w.em(6).x)
     _, gamma = imgui.slider_float("gamma", contrast.gamma, *grey.GAMMAS, "%.2f", imgui.SliderFlags_.logarithmic)
-    console.contrast = grey.with_gamma(console.contrast, gamma)
     imgui.same_line()
     table = w.choice("##table", grey.TABLES, contrast.table, 6)
     _, paint = imgui.checkbox("hatch the ends", contrast.paint)
@@ -129,7 +127,7 @@ def _contrast(console: Console) -> None:
     _, console.settings.crosshair = imgui.checkbox("cross", console.settings.crosshair)
     imgui.same_line()
     _, console.settings.scale_bar = imgui.checkbox("bar", console.settings.scale_bar)
-    console.contrast = replace(console.contrast, table=table, paint=paint)
+    console.contrast = grey.chosen(contrast, gamma=gamma, table=table, paint=paint, ignored_percent=ignored)
 
 
 def _levels(console: Console) -> None:

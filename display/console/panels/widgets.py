@@ -22,6 +22,7 @@ TALL = 1.3
 YELLOW = 0xFF30D0FF
 WHITE = 0xFFFFFFFF
 SHADE = 0xA0000000
+WHY_NOT = int(imgui.HoveredFlags_.allow_when_disabled | imgui.HoveredFlags_.for_tooltip)
 
 
 def em(width: float, height: float = 0.0) -> imgui.ImVec2:
@@ -35,7 +36,7 @@ def button(label: str, why_not: str = "", hint: str = "", width: float = 0.0) ->
     pressed = imgui.button(label, em(width, 0))
     imgui.end_disabled()
     words = why_not or hint
-    if words and imgui.is_item_hovered(imgui.HoveredFlags_.allow_when_disabled | imgui.HoveredFlags_.for_tooltip):
+    if words and imgui.is_item_hovered(WHY_NOT):
         imgui.set_tooltip(words.replace("%", "%%"))
     return pressed
 
