@@ -32,7 +32,7 @@ def is_alarm(line: Line) -> bool:
     """
     if line.place == "run":
         return line.level == "error" or line.words.startswith(("HOLD", "FAILED", "HELD", "COMPLETED_WITH_GAPS"))
-    return line.level == "error" and line.place in {"instrument", "STOP", "queue"}
+    return line.level == "error" and line.place in {"instrument", "STOP", "queue", "monitor"}
 
 
 class Alarms:

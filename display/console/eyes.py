@@ -45,6 +45,8 @@ class Seen:
         Share of all pixels at the top of the camera's scale, and at 0.
     score : float
         How sharp the middle of the frame is; comparable between frames of one specimen.
+    mean, sd : float
+        Mean and standard deviation of all its grey levels, bands together.
     """
 
     number: int
@@ -54,6 +56,8 @@ class Seen:
     over: float
     under: float
     score: float
+    mean: float
+    sd: float
 
 
 def histogram_of(pixels: np.ndarray, top: int) -> Histogram:
@@ -80,6 +84,7 @@ def top_of(pixels: np.ndarray, told: int) -> int:
 def look(number: int, pixels: np.ndarray, header: FrameHeader, top: int) -> Seen:
     """Return a frame with what can be read off it; ``top`` is the largest grey level in the instrument file."""
     top = top_of(pixels, top)
+    mean, sd = (float(each.item()) for each in cv2.meanStdDev(pixels.reshape(pixels.shape[0], -1)))
     over, under = int(np.count_nonzero(pixels >= top)), pixels.size - int(np.count_nonzero(pixels))
     return Seen(
         number,
@@ -89,6 +94,8 @@ def look(number: int, pixels: np.ndarray, header: FrameHeader, top: int) -> Seen
         over / pixels.size,
         under / pixels.size,
         focus_energy(middle(pixels)),
+        mean,
+        sd,
     )
 
 

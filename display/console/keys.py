@@ -21,7 +21,7 @@ VIEW_WORDS = (
     "the brightest of the volume",
 )
 
-PANELS = ("Stage", "Camera", "Stack", "Sections", "Session", "Glasses", "Files", "Review", "Log")
+PANELS = ("Stage", "Camera", "Stack", "Sections", "Session", "Glasses", "Files", "Review", "Log", "Monitor")
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ BINDINGS = (
     Binding("r", "Ctrl+R", "review before a start; pause; go on", lambda console: console.run_or_pause(), ctrl=True),
     *(Binding(f"_{n}", str(n), f"view: {what}", _view(n)) for n, what in enumerate(VIEW_WORDS, start=1)),
     *(
-        Binding(f"_{n}", f"Ctrl+{n}", f"to the panel {name}", _panel(name), ctrl=True)
+        Binding(f"_{n % 10}", f"Ctrl+{n % 10}", f"to the panel {name}", _panel(name), ctrl=True)
         for n, name in enumerate(PANELS, start=1)
     ),
     Binding("x", "X", "exchange the eyes", lambda console: console.viewing.press("e")),

@@ -16,11 +16,12 @@ from display.console.files import FileEditor
 from display.console.flipping import Flipping
 from display.console.journal import words_of
 from display.console.knife_work import KnifeWork
+from display.console.monitor import Monitor
 from display.console.moving import Jogger, Marks
 from display.console.placing import Placing, enlarged
 from display.console.run_queue import RunQueue, queue_file
 from display.console.settings import settings_folder
-from display.console.stack_form import Advice, StackForm, advice
+from display.console.stack_form import Advice, StackForm, advice, form_of
 from display.console.sticks import Stick
 from display.console.viewing import LIVE, REVIEW, VIEWS, Viewing
 
@@ -81,6 +82,7 @@ class Console:
         self.flipping = Flipping(journal, lambda: bench.rig)
         self.camera = CameraWork(self)
         self.knife = KnifeWork(self)
+        self.monitor = Monitor()
         self.placing = Placing()
         self.line: Line | None = None
         self.viewing = Viewing()
@@ -199,6 +201,7 @@ class Console:
         self._keep_queue()
         self.queue.tick(self)
         self._follow()
+        self._monitor()
         self._stick_due()
         self._jog_due()
         self._plan_due()
@@ -223,6 +226,16 @@ class Console:
         if self._fits_first:
             self._fits_first, self.contrast = False, grey.fitted(self.contrast, seen.histogram)
         self.contrast = grey.followed(self.contrast, seen.histogram)
+
+    def _monitor(self) -> None:
+        """Watch the pictures of a run; previews from afar cannot be judged."""
+        seen, run = self.eyes.seen, self.run
+        if seen is None or run is None or not self.running or self.eyes.afar:
+            return
+        if words := self.monitor.take(seen, run):
+            self.journal.add("error", "monitor", words)
+            if self.monitor.pauses and self.bench.commands and run.state == RunState.RUNNING:
+                self.bench.ask(requests.PauseRun(scope="before_cut" if self.monitor.of_sections else "plane"), "run")
 
     def _stick_due(self) -> None:
         why_not = self.why_no_motion() or ("" if self.in_front else "the console's window is not in front")
@@ -335,6 +348,14 @@ class Console:
     def queue_run(self) -> None:
         """Let what the form says wait for its turn."""
         self.queue.add(self.form.name, self.form.recipe())
+
+    def fill_form(self, text: str) -> str:
+        """Put what a recipe says into the form; return in words what came of it."""
+        try:
+            self.form = form_of(text)
+        except StereotomeError as error:
+            return f"{error.what} The form is as it was. {' '.join(error.fix)}"
+        return "it is in the form now"
 
     def continue_run(self, folder: str) -> None:
         """Take what a run that ended early lacks."""

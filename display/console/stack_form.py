@@ -7,10 +7,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 from acquire.optics import depth_of_field_um, nyquist_step_um
+from acquire.recipe import recipe_from_text
+from devices.errors import PlanError
 from devices.toml_write import toml_text
 from display.console.moving import Marks
 
 if TYPE_CHECKING:
+    from acquire.recipe import SectionsSpec, StackSpec
     from devices.rig import RigSpec
 
 Spacing = Literal["planes", "step", "nyquist", "dof"]
@@ -113,6 +116,79 @@ class StackForm:
                 return {"step": float(self.step_um)}
             case "nyquist" | "dof":
                 return {"step": self.spacing}
+
+
+def form_of(text: str) -> StackForm:
+    """Return the form that makes the same run as a recipe's text.
+
+    Raises
+    ------
+    PlanError
+        It is no good recipe; ``no-field``: it says something the form has no field for, so nothing of it is taken.
+    """
+    recipe = recipe_from_text(text, "the recipe")
+    stack, process, notify = recipe.stack, recipe.process, recipe.watch.notify
+    form = StackForm(
+        name=recipe.name,
+        notes=recipe.notes,
+        operator=recipe.operator,
+        folder=recipe.output.folder,
+        marks=Marks(top_um=stack.top_um, bottom_um=stack.bottom_um),
+        direction=stack.direction,
+        return_to=stack.return_to,
+        exposure_ms=stack.exposure_ms,
+        focus=process.extended_focus,
+        stereo=process.stereo_pair is not None,
+        keep_free_gb=recipe.output.keep_free_gb,
+        notify="" if notify is None else shlex.join(notify.command),
+        sections=SectionsForm() if recipe.sections is None else _sections_of(recipe.sections),
+        **_spacing_of(stack),
+    )
+    if lacking := differences(recipe.model_dump(), recipe_from_text(form.recipe(), "the form").model_dump()):
+        raise PlanError(
+            f"the form has no field for {', '.join(lacking)}.",
+            fix="queue the recipe as it is: it runs all the same.",
+            code="no-field",
+        )
+    return form
+
+
+def _spacing_of(stack: StackSpec) -> dict[str, Any]:
+    """Return how far planes lie apart, and around where, as fields of the form."""
+    around = {} if stack.around_um is None else {"around_um": stack.around_um}
+    if stack.planes is not None:
+        return {**around, "spacing": "planes", "planes": stack.planes}
+    if isinstance(stack.step, float):
+        return {**around, "spacing": "step", "step_um": stack.step}
+    return {**around, "spacing": stack.step or "planes"}
+
+
+def _sections_of(sections: SectionsSpec) -> SectionsForm:
+    debris, plain = sections.debris_check, SectionsForm()
+    return SectionsForm(
+        wanted=True,
+        by_depth=sections.depth_um is not None,
+        count=sections.count or plain.count,
+        depth_um=sections.depth_um or plain.depth_um,
+        thickness_nm=sections.thickness_nm,
+        cut_first=sections.cut_then_image,
+        sweeps=debris.sweeps if debris.on_debris == "recut" else 0,
+        autofocus_every=sections.autofocus_every,
+        on_quality=sections.on_quality,
+        on_error=sections.on_error,
+    )
+
+
+def differences(one: dict[str, Any], other: dict[str, Any], within: str = "") -> list[str]:
+    """Return the keys, as ``table.key``, under which two recipes do not say the same."""
+    found: list[str] = []
+    for key, value in one.items():
+        against = other[key]
+        if isinstance(value, dict) and isinstance(against, dict):
+            found += differences(value, against, f"{within}{key}.")
+        elif value != against:
+            found.append(f"{within}{key}")
+    return found
 
 
 def words_of_command(text: str) -> list[str]:

@@ -14,7 +14,20 @@ from acquire.state import FINAL
 from acquire.words import took
 from devices.errors import DisplayError
 from display.console.keys import BINDINGS
-from display.console.panels import camera, files, floating, glasses, live, log, review, sections, session, stack, stage
+from display.console.panels import (
+    camera,
+    files,
+    floating,
+    glasses,
+    live,
+    log,
+    monitor,
+    review,
+    sections,
+    session,
+    stack,
+    stage,
+)
 from display.console.panels import widgets as w
 from display.console.review import Reviewer
 from display.console.thrift import FULL_HZ, Thrift
@@ -32,7 +45,7 @@ logger = logging.getLogger(__name__)
 TITLE = "Stereotome"
 SIZE = (1280, 720)
 IDLE_HZ = 1.0  # an event, news from the instrument or a frame is drawn at once
-LAYOUT = "console-3"
+LAYOUT = "console-4"
 SOLID = (
     imgui.Col_.window_bg,
     imgui.Col_.popup_bg,
@@ -156,6 +169,7 @@ class ConsoleWindow:
             "Files": "Right",
             "Live": "MainDockSpace",
             "Review": "MainDockSpace",
+            "Monitor": "MainDockSpace",
             "Log": "Below",
         }
         docking.dockable_windows = [self._dockable(name, place) for name, place in places.items()]
@@ -174,6 +188,7 @@ class ConsoleWindow:
         self.canvas = Canvas(window_context())
         self.review = review.ReviewPanel(self.canvas, self._reviewer)
         self._draws["Review"] = self.review.draw
+        self._draws["Monitor"] = monitor.MonitorPanel(self.canvas).draw
         self._draws["Live"] = live.LivePanel(self.canvas).draw
 
     def guarded(self, name: str, draw: Callable[[Console], None]) -> None:

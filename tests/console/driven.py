@@ -224,6 +224,8 @@ def files(hand):
     hand.click("//Files/The form as a recipe")
     hand.click("//Files/Save")
     assert Path("recipe.toml").read_text() == editor.text
+    hand.click("//Files/Into the form")
+    hand.wait(lambda: editor.words == "it is in the form now")
     hand.ctx.window_focus("//Stack")
 
 
@@ -338,9 +340,22 @@ def sections(hand):
     hand.click("//The run asks/accept")
     hand.wait_state("COMPLETED")
     hand.wait(lambda: not console.running)
+    watched(hand)
     reviews(hand)
     by_keys(hand)
     stops_sections(hand)
+
+
+def watched(hand):
+    """Look at the slice across the sections that was drawn as they came, and set limits around them."""
+    monitor = hand.console.monitor
+    assert sorted(monitor.steps) == [0, 1, 2]
+    hand.ctx.window_focus("//Monitor")
+    hand.click("//Monitor/Limits around these")
+    hand.enter("//Monitor/…##low mean", 1)
+    assert monitor.limits["mean"][0] == 1
+    assert monitor.limits["mean"][1] > monitor.steps[2].mean
+    hand.shot("console_monitor")
 
 
 def reviews(hand):
@@ -364,7 +379,7 @@ def by_keys(hand):
     """Reach every field of every panel by Tab, the views and the whole screen by their keys."""
     console = hand.console
     for number, panel in enumerate(PANELS, start=1):
-        hand.key(getattr(KEY, f"_{number}") | KEY.mod_ctrl)
+        hand.key(getattr(KEY, f"_{number % 10}") | KEY.mod_ctrl)
         hand.ctx.yield_(2)
         assert not hand.fields(panel) - hand.tabbed(), panel
     hand.key(KEY._1)

@@ -25,7 +25,7 @@ from display.console.model import Console
 from display.console.moving import Jogger, Marks
 from display.console.review import Drawn, Wish
 from display.console.run_queue import RunQueue, queue_file
-from display.console.stack_form import Advice, SectionsForm, StackForm
+from display.console.stack_form import Advice, SectionsForm, StackForm, form_of
 from display.console.tour import STEPS, Tour
 from display.controls import Shown
 from display.relief import Relief
@@ -111,6 +111,64 @@ def test_every_form_makes_a_recipe(spacing, marked, notes, planes, step_um):
     sections = StackForm(marks=marks, sections=SectionsForm(wanted=True, count=3, thickness_nm=70))
     assert recipe_from_text(sections.recipe(), "form").sections.sections == 3
     assert "process" not in tomllib.loads(sections.recipe())
+
+
+@given(
+    st.builds(
+        StackForm,
+        name=st.text("ab é", max_size=9),
+        marks=st.sampled_from([Marks(), Marks(top_um=1.5, bottom_um=-2.0)]),
+        around_um=st.floats(0.01, 500),
+        spacing=st.sampled_from(["planes", "step", "nyquist", "dof"]),
+        planes=st.integers(2, 999),
+        step_um=st.floats(0.001, 50),
+        direction=st.sampled_from(["up", "down"]),
+        return_to=st.sampled_from(["start", "middle", "park", "stay"]),
+        exposure_ms=st.none() | st.floats(0.1, 100),
+        focus=st.booleans(),
+        stereo=st.booleans(),
+        keep_free_gb=st.floats(0, 9),
+        notify=st.sampled_from(["", "echo 'two words'"]),
+        sections=st.builds(
+            SectionsForm,
+            wanted=st.booleans(),
+            by_depth=st.booleans(),
+            count=st.integers(1, 99),
+            depth_um=st.floats(1, 99),
+            thickness_nm=st.floats(10, 900),
+            cut_first=st.booleans(),
+            sweeps=st.integers(0, 10),
+            on_quality=st.sampled_from(["pause", "accept"]),
+            on_error=st.sampled_from(["pause", "park-and-stop", "continue"]),
+        ),
+    )
+)
+def test_a_form_made_of_a_recipe_makes_that_recipe(form):
+    assert form_of(form.recipe()).recipe() == form.recipe()
+
+
+@pytest.mark.parametrize(
+    ("more", "lacking"),
+    [
+        ('bands = ["red"]', "stack.bands"),
+        ('trigger = "hardware"\n[series]\ncount = 3', "stack.trigger, series"),
+        ('[output]\ncompression = "zstd"', "output.compression"),
+        ("[process]\nrange_image = true", "process.range_image"),
+    ],
+)
+def test_a_recipe_beyond_the_form_is_refused_and_the_form_stays(console, more, lacking):
+    form = console.form
+    words = console.fill_form(f"[stack]\naround_um = 4\nplanes = 3\n{more}\n")
+    assert f"no field for {lacking}. The form is as it was." in words
+    assert console.form is form
+    assert "give top_um and bottom_um" in console.fill_form("[stack]")
+    assert console.form is form
+
+
+def test_a_recipe_goes_into_the_form(console):
+    text = "[stack]\ntop_um = 3\nbottom_um = -1\nstep = 0.5\n[sections]\ndepth_um = 2\nthickness_nm = 100\n"
+    assert "in the form" in console.fill_form(text)
+    assert (console.form.marks.top_um, console.form.step_um, console.form.sections.number) == (3, 0.5, 20)
 
 
 def test_overlap_is_that_of_depths_of_field():

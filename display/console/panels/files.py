@@ -29,17 +29,33 @@ def draw(console: Console) -> None:
     why_not = "" if files.path and files.text else "name a file and write something"
     if w.button("Save", why_not or ("" if files.changed else "it is stored as it is"), "only what is good is written"):
         files.save()
-    imgui.same_line()
-    is_recipe = files.good and files.kind == "recipe"
-    if w.button("Queue it", "" if is_recipe else "this is no good recipe"):
-        console.queue.add(Path(files.path).name or "recipe", files.text)
-    if w.button("The form as a recipe"):
-        files.begin("recipe.toml", console.form.recipe())
-    imgui.same_line()
-    rig = console.bench.rig
-    if w.button("This instrument", "" if rig is not None else "no instrument is known") and rig is not None:
-        files.begin(f"{rig.name}.toml", toml_text(rig.model_dump(mode="json", by_alias=True, exclude_none=True)))
+    _recipe(console)
+    _begin(console)
     room = imgui.get_content_region_avail().y / w.em(1).x
     _, files.text = imgui.input_text_multiline("##text", files.text, w.em(-0.1, max(LEAST_EM, room - WORDS_EM)))
     if files.words:
         w.words(files.words, w.BLUE if files.good else w.ORANGE)
+
+
+def _recipe(console: Console) -> None:
+    """Draw what a good recipe can be used for."""
+    files = console.files
+    why_not = "" if files.good and files.kind == "recipe" else "this is no good recipe"
+    imgui.same_line()
+    if w.button("Queue it", why_not):
+        console.queue.add(Path(files.path).name or "recipe", files.text)
+    imgui.same_line()
+    if w.button("Into the form", why_not, "the stack panel then makes this run"):
+        files.words = console.fill_form(files.text)
+
+
+def _begin(console: Console) -> None:
+    """Draw what a text can begin with."""
+    if w.button("The form as a recipe"):
+        console.files.begin("recipe.toml", console.form.recipe())
+    imgui.same_line()
+    rig = console.bench.rig
+    if w.button("This instrument", "" if rig is not None else "no instrument is known") and rig is not None:
+        console.files.begin(
+            f"{rig.name}.toml", toml_text(rig.model_dump(mode="json", by_alias=True, exclude_none=True))
+        )
