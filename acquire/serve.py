@@ -15,6 +15,7 @@ from cyclopts import Parameter
 
 from acquire.bench import instrument_spec, opened
 from acquire.keys import ServerKeys
+from acquire.logs import logged
 from acquire.meeting import addresses
 from acquire.server import serving
 from acquire.watchdog import Watchdog
@@ -71,6 +72,7 @@ def serve(
     endpoints, where = addresses(bind, keyed=keys is not None), observed_at(observe)
     with ExitStack() as stack:
         spec = instrument_spec(stack, instrument, set_, sim=sim, block=block)
+        stack.enter_context(logged(f"serve-{spec.name}"))
         watchdog = stack.enter_context(Watchdog(spec, CLOCK))
         rig = stack.enter_context(opened(spec, CLOCK, transcript, home=sim))
         watchdog.wait_until_ready()

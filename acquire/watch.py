@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import subprocess
+from logging.handlers import RotatingFileHandler
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -14,11 +15,22 @@ if TYPE_CHECKING:
     from acquire.recipe import NotifySpec
 
 log = logging.getLogger("acquire.run")
+RUN_LOG = "run.log"
 FORMAT = "%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s"
 
 
-class _Quiet(logging.FileHandler):
-    """A log file that a full disk does not make a nuisance."""
+class QuietFile(RotatingFileHandler):
+    """A log file with times, that a full disk does not make a nuisance; ``limit`` in bytes, 0 for none, begins another.
+
+    Parameters
+    ----------
+    older : int
+        How many files before it are kept.
+    """
+
+    def __init__(self, file: Path, limit: int = 0, older: int = 0) -> None:
+        super().__init__(file, maxBytes=limit, backupCount=older, encoding="utf-8", delay=True)
+        self.setFormatter(logging.Formatter(FORMAT, "%Y-%m-%dT%H:%M:%S"))
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802  the library's name
         """Let it go: the run itself meets the disk and says so."""
@@ -28,8 +40,7 @@ class RunLog:
     """``run.log`` in the run's folder: every event, and every warning of the program while the run lasts."""
 
     def __init__(self, folder: Path) -> None:
-        self._handler = _Quiet(folder / "run.log", encoding="utf-8", delay=True)
-        self._handler.setFormatter(logging.Formatter(FORMAT, "%Y-%m-%dT%H:%M:%S"))
+        self._handler = QuietFile(folder / RUN_LOG)
         logging.getLogger().addHandler(self._handler)
         log.setLevel(logging.INFO)
 

@@ -1,4 +1,4 @@
-"""``stereotome devices list``, ``stereotome devices probe`` and ``stereotome config check``."""
+"""``stereotome devices list`` and ``stereotome devices probe``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import getpass
 import json as json_text
 import os
 import sys
-import tomllib
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,19 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from devices.clock import SystemClock
-from devices.errors import RigError
 from devices.holders import holders_of
-from devices.installed import installed
 from devices.probe import BAUDS, probe_port, words
 from devices.registry import KINDS, drivers
 from devices.transport.ports import group_members, port_group, ports_present
 
 if TYPE_CHECKING:
-    from pydantic import BaseModel
-
     from devices.transport.ports import Port
 
-MODELS = "stereotome.models"
 NOBODY = 4
 
 
@@ -98,65 +92,6 @@ def probe(port: str, /, *, baud: tuple[int, ...] = BAUDS, json: Annotated[bool, 
         for line in words(report, port):
             _print(line)
     return 0 if report.found else NOBODY
-
-
-def check_config(files: list[Path], /) -> int:
-    """Check instrument and recipe files; which of the two a file is, its tables tell.
-
-    Parameters
-    ----------
-    files
-        Instrument or recipe files.
-    """
-    worst = 0
-    for path in files:
-        try:
-            kind = _check(path)
-            _print(f"{path}: a good {kind} file.")
-        except RigError as error:
-            sys.stderr.write(f"{error.message()}\n")
-            worst = error.exit_code
-    return worst
-
-
-def _check(path: Path) -> str:
-    from devices.toml_model import load_model  # noqa: PLC0415  `devices list` does without the file reader
-
-    try:
-        kind = kind_of(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        kind = "instrument"
-    load_model(path, _models()[kind], RigError)
-    return kind
-
-
-def check_text(text: str, name: str) -> str:
-    """Return the kind of file a text is, instrument or recipe; raises `RigError` with everything wrong in it."""
-    from devices.toml_model import load_text  # noqa: PLC0415
-
-    kind = kind_of(text)
-    load_text(text, name, _models()[kind], RigError)
-    return kind
-
-
-def kind_of(text: str) -> str:
-    """Return the kind of file whose tables a text has; one that cannot be read counts as an instrument file."""
-    try:
-        keys = tomllib.loads(text).keys()
-    except ValueError:
-        return "instrument"
-    return max(_models(), key=lambda kind: len(keys & _tables(kind)))
-
-
-def _tables(kind: str) -> set[str]:
-    """Return the tables that only this kind of file has."""
-    models = _models()
-    others = {name for other, model in models.items() if other != kind for name in model.model_fields}
-    return set(models[kind].model_fields) - others
-
-
-def _models() -> dict[str, type[BaseModel]]:
-    return {point.name: point.load() for point in installed(MODELS)}
 
 
 def _print(line: str) -> None:

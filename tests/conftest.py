@@ -1,6 +1,10 @@
 """What tests share."""
 
+import atexit
+import os
+import shutil
 import signal
+import tempfile
 from contextlib import ExitStack, closing
 from pathlib import Path
 
@@ -18,6 +22,10 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # how long an example takes says nothing on a machine that does other things as well
 settings.register_profile("busy-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("busy-machine")
+
+# logs of the programs under test are no part of those of whoever tests
+os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="stereotome-logs-")
+atexit.register(shutil.rmtree, os.environ["XDG_STATE_HOME"], ignore_errors=True)
 
 GLASSES_RIG = """\
 schema = 1

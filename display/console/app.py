@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from acquire.logs import logged
 from acquire.meeting import ServerGone
 from acquire.served import found_or_started
 from devices.errors import DisplayError
@@ -94,6 +95,7 @@ def show(served: Served | Later, *, scale: float | None = None, tour: Tour | Non
     from display.console.window import ConsoleWindow  # noqa: PLC0415  nothing else needs a display
 
     with ExitStack() as stack:
+        stack.enter_context(logged("console"))
         made = opened(served, stack)
         made.tour = tour
         ConsoleWindow(made, scale=scale).run()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from devices.commands import check_text
+from devices.config_commands import check_text
 from devices.errors import StereotomeError
 from processing.outputs import write_durably
 

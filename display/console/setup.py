@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 from acquire.meeting import ServerGone
 from acquire.served import found_or_started
 from devices.clock import SystemClock
-from devices.commands import check_text, described_ports
+from devices.commands import described_ports
+from devices.config_commands import check_text
 from devices.errors import InputError, StereotomeError
 from devices.init_rig import LIMITS_UM, NOBODY_KNOWN, SOURCES, USUAL_BAUD, USUAL_LIMITS_UM, Bench, remark, rig_text
 from devices.probe import BAUDS, probe_port

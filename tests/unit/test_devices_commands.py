@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from devices import commands, doctor, registry, rig
+from devices import commands, config_commands, doctor, registry, rig
 from devices.clock import SystemClock
 from devices.errors import DeviceError, RigError
 from devices.toml_model import load_text
@@ -86,11 +86,11 @@ def test_a_file_is_checked_as_what_its_tables_say(tmp_path: Path, capsys: pytest
     (tmp_path / "rig.toml").write_text(RIG)
     (tmp_path / "recipe.toml").write_text("[stack]\ntop_um = 1.0\nbottom_um = 0.0\nstep = 0.5\n")
     (tmp_path / "broken.toml").write_text("name = \n")
-    assert commands.check_config([tmp_path / "rig.toml", tmp_path / "recipe.toml"]) == 0
+    assert config_commands.check_config([tmp_path / "rig.toml", tmp_path / "recipe.toml"]) == 0
     said = capsys.readouterr().out
     assert "rig.toml: a good instrument file." in said
     assert "recipe.toml: a good recipe file." in said
-    assert commands.check_config([tmp_path / "broken.toml", tmp_path / "rig.toml"]) == 3
+    assert config_commands.check_config([tmp_path / "broken.toml", tmp_path / "rig.toml"]) == 3
     assert "broken.toml:1: no valid TOML" in capsys.readouterr().err
 
 

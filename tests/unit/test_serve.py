@@ -14,6 +14,7 @@ from wires import stereotome
 
 from acquire import messages, requests
 from acquire.client import Instrument
+from acquire.logs import logs_folder
 from acquire.meeting import ServerGone, find_meeting
 from acquire.store import RunEnd, open_run
 from devices.errors import DeviceBusy, InputError, PlanError, StereotomeError, Unsafe
@@ -43,6 +44,13 @@ def test_only_its_user_can_reach_it(server):
     assert stat.S_IMODE(server.connection.parent.stat().st_mode) == 0o700
     meeting = find_meeting(server.connection)
     assert all(address.startswith(f"ipc://{server.connection.parent}") for address in meeting.endpoints.values())
+
+
+def test_it_keeps_a_log_that_the_command_line_shows(server):
+    shown = stereotome("logs", "-n", "100000")
+    assert (logs_folder() / "serve-small.log").exists()
+    assert shown.code == 0
+    assert not shown.err
 
 
 def test_the_stage_moves_and_tells_where_it_rests(instrument, small_bench):
