@@ -45,9 +45,14 @@ class KnifeWork:
 
     def feed_once(self) -> None:
         """Feed by one section of the form's thickness."""
-        if self._console.feed is not None:
-            thickness_nm = self._console.form.sections.thickness_nm
-            self._by_hand(requests.FeedSection(thickness_nm=thickness_nm, expect_section=self._console.feed.cuts))
+        if self._console.feed is None:
+            return
+        try:
+            thickness_nm = self._console.form.sections.first_nm
+        except ValueError as wrong:
+            self.notice = f"not fed: the thickness {wrong}"
+            return
+        self._by_hand(requests.FeedSection(thickness_nm=thickness_nm, expect_section=self._console.feed.cuts))
 
     def arm(self) -> None:
         """Allow one cut within the next seconds."""

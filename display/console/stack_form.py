@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import shlex
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 from acquire.optics import depth_of_field_um, nyquist_step_um
+from acquire.per_cut import per_cut
 from acquire.recipe import recipe_from_text
 from devices.errors import PlanError
 from devices.toml_write import toml_text
+from devices.values import to_nm
 from display.console.moving import Marks
 
 if TYPE_CHECKING:
+    from acquire.per_cut import PerCut
     from acquire.recipe import SectionsSpec, StackSpec
     from devices.rig import RigSpec
 
@@ -27,13 +31,19 @@ Direction = Literal["up", "down"]
 
 @dataclass
 class SectionsForm:
-    """Sections to cut, as ``[sections]`` of a recipe."""
+    """Sections to cut, as ``[sections]`` of a recipe.
+
+    Attributes
+    ----------
+    thickness : str
+        As typed, in nm: one for all cuts, or ranges of cuts, ``1-20: 100, 21-: 50``.
+    """
 
     wanted: bool = False
     by_depth: bool = False
     count: int = 10
     depth_um: float = 1.0
-    thickness_nm: float = 100.0
+    thickness: str = "100"
     cut_first: bool = True
     sweeps: int = 3
     autofocus_every: int = 0
@@ -42,20 +52,47 @@ class SectionsForm:
 
     @property
     def number(self) -> int:
-        """How many sections are cut: as many as asked for, or as go into the depth."""
-        return int(self.depth_um * NM_PER_UM / self.thickness_nm + 1e-9) if self.by_depth else self.count
+        """How many sections are cut: as many as asked for, or as go into the depth.
+
+        Raises
+        ------
+        ValueError
+            The thickness as typed is none, in words.
+        """
+        return self._cuts.cuts_within(to_nm(self.depth_um)) if self.by_depth else self.count
+
+    @property
+    def total_um(self) -> float:
+        """How deep all cuts go together; raises as `number`."""
+        return self._cuts.total_nm(self.number) / NM_PER_UM
+
+    @property
+    def first_nm(self) -> float:
+        """Thickness of the first cut; raises as `number`."""
+        return self._cuts.nm(1)
+
+    @property
+    def _cuts(self) -> PerCut:
+        return per_cut(self.thickness).each(round)
 
     def table(self) -> dict[str, Any]:
         """Return the recipe's table."""
         return {
             **({"depth_um": float(self.depth_um)} if self.by_depth else {"count": self.count}),
-            "thickness_nm": float(self.thickness_nm),
+            "thickness_nm": _as_written(self.thickness),
             "cut_then_image": self.cut_first,
             "autofocus_every": self.autofocus_every,
             "on_quality": self.on_quality,
             "on_error": self.on_error,
             "debris_check": {"on_debris": "recut", "sweeps": self.sweeps} if self.sweeps else {"on_debris": "pause"},
         }
+
+
+def _as_written(thickness: str) -> float | str:
+    """Return a thickness as a recipe has it; what is none as it was typed: who reads the recipe says why."""
+    with suppress(ValueError):
+        return per_cut(thickness).told
+    return thickness
 
 
 @dataclass
@@ -170,7 +207,7 @@ def _sections_of(sections: SectionsSpec) -> SectionsForm:
         by_depth=sections.depth_um is not None,
         count=sections.count or plain.count,
         depth_um=sections.depth_um or plain.depth_um,
-        thickness_nm=sections.thickness_nm,
+        thickness=str(sections.thickness_nm),
         cut_first=sections.cut_then_image,
         sweeps=debris.sweeps if debris.on_debris == "recut" else 0,
         autofocus_every=sections.autofocus_every,

@@ -317,7 +317,7 @@ def sections(hand):
     hand.enter("//Sections/µm deep", 20.0)
     hand.click("//Sections/Approach")
     hand.wait(lambda: abs(console.feed.depth_nm - 20_000) < 100)
-    hand.enter("//Sections/nm thick", 500.0)
+    hand.enter("//Sections/nm thick", "1-2: 500, 3-: 250")
     hand.click("//Sections/Feed one")
     hand.wait(lambda: abs(console.feed.depth_nm - 20_500) < 100)
     hand.click("//Sections/Arm knife")

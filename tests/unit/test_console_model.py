@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from acquire import replies, requests
 from acquire.recipe import recipe_from_text
-from devices.errors import LimitError, StageStalled, StereotomeError
+from devices.errors import LimitError, PlanError, StageStalled, StereotomeError
 from display.console import alarms
 from display.console import contrast as grey
 from display.console import placing as p
@@ -108,7 +108,7 @@ def test_every_form_makes_a_recipe(spacing, marked, notes, planes, step_um):
     recipe = recipe_from_text(form.recipe(), "form")
     assert recipe.notes == notes
     assert recipe.stack.range_um(0.0) == ((-3.0, 4.0) if marked else (-10.0, 10.0))
-    sections = StackForm(marks=marks, sections=SectionsForm(wanted=True, count=3, thickness_nm=70))
+    sections = StackForm(marks=marks, sections=SectionsForm(wanted=True, count=3, thickness="70"))
     assert recipe_from_text(sections.recipe(), "form").sections.sections == 3
     assert "process" not in tomllib.loads(sections.recipe())
 
@@ -133,9 +133,9 @@ def test_every_form_makes_a_recipe(spacing, marked, notes, planes, step_um):
             SectionsForm,
             wanted=st.booleans(),
             by_depth=st.booleans(),
-            count=st.integers(1, 99),
+            count=st.integers(3, 99),
             depth_um=st.floats(1, 99),
-            thickness_nm=st.floats(10, 900),
+            thickness=st.floats(10, 900).map("{:.1f}".format) | st.just("1: 100, 2-: 50"),
             cut_first=st.booleans(),
             sweeps=st.integers(0, 10),
             on_quality=st.sampled_from(["pause", "accept"]),
@@ -163,6 +163,17 @@ def test_a_recipe_beyond_the_form_is_refused_and_the_form_stays(console, more, l
     assert console.form is form
     assert "give top_um and bottom_um" in console.fill_form("[stack]")
     assert console.form is form
+
+
+def test_thickness_by_ranges_of_cuts_is_counted_as_the_run_counts_it():
+    form = SectionsForm(wanted=True, by_depth=True, depth_um=2.3, thickness="1-10: 100, 11-: 50")
+    assert (form.number, form.total_um, form.first_nm) == (36, 2.3, 100)
+    assert form.table()["thickness_nm"] == "1-10: 100, 11-: 50"
+    made = StackForm(marks=Marks(2.0, -2.0), sections=replace(form, thickness="1-10: 100, 12-: 50"))
+    with pytest.raises(ValueError, match="cut 11 is in no range"):
+        _ = made.sections.number
+    with pytest.raises(PlanError, match="cut 11 is in no range"):
+        recipe_from_text(made.recipe(), "form")
 
 
 def test_a_recipe_goes_into_the_form(console):
@@ -463,7 +474,7 @@ def test_what_waits_is_kept_for_the_next_console_and_goes_on_after_a_silence(tmp
 def test_sections_by_depth_are_as_many_as_the_instrument_makes_of_it_and_a_command_is_told():
     form = StackForm(notify="notify-send 'a run' {event}")
     form.marks = Marks(top_um=1.0, bottom_um=0.0)
-    form.sections = SectionsForm(wanted=True, by_depth=True, depth_um=1.4, thickness_nm=70.0, on_error="park-and-stop")
+    form.sections = SectionsForm(wanted=True, by_depth=True, depth_um=1.4, thickness="70", on_error="park-and-stop")
     recipe = recipe_from_text(form.recipe(), "form")
     assert recipe.sections.sections == form.sections.number == 20
     assert recipe.sections.on_error == "park-and-stop"

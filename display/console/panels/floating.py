@@ -63,11 +63,10 @@ def review_words(console: Console) -> list[str]:
             *stack.cost_words(planned),
             f"data: {planned.folder}",
         ]
+        if form.sections.wanted:
+            lines.append(f"CUTS {planned.sections} sections of {form.sections.thickness} nm: this cannot be undone")
     if state is not None:
         lines.append(f"camera: {state.camera}, {form.exposure_ms or state.exposure_ms:g} ms")
-    if form.sections.wanted:
-        sections = form.sections
-        lines.append(f"CUTS {sections.number} sections of {sections.thickness_nm:g} nm: this cannot be undone")
     return [*lines, f"notes: {form.notes or '-'}"]
 
 

@@ -46,14 +46,18 @@ def _stands(console: Console) -> None:
 def _form(console: Console) -> None:
     form = console.form.sections
     _, form.wanted = imgui.checkbox("cut sections, a stack of each face", form.wanted)
-    form.thickness_nm = max(1.0, w.number("nm thick", form.thickness_nm, 6, "%.0f")[1])
+    form.thickness = w.text_field("nm thick", form.thickness, 11)
+    w.hint("one for all cuts, or ranges of cuts: 1-20: 100, 21-: 50")
     if form.by_depth:
         form.depth_um = max(0.001, w.number("µm in all", form.depth_um, 7, "%.3f")[1])
     else:
         form.count = w.whole("sections", form.count, 1, 1_000_000)
     imgui.same_line()
     _, form.by_depth = imgui.checkbox("by depth", form.by_depth)
-    imgui.text_colored(w.GREY, f"{form.number} sections, {form.number * form.thickness_nm / NM_PER_UM:.2f} µm in all")
+    try:
+        imgui.text_colored(w.GREY, f"{form.number} sections, {form.total_um:.2f} µm in all")
+    except ValueError as wrong:
+        w.words(f"! nm thick: {wrong}", w.ORANGE)
     _, form.cut_first = imgui.checkbox("cut before the first image", form.cut_first)
     form.sweeps = w.whole("wipes at debris (0 asks)", form.sweeps, 0, 10)
     form.autofocus_every = w.whole("between autofocus (0 never)", form.autofocus_every, 0, 1000)
@@ -72,7 +76,7 @@ def _by_hand(console: Console) -> None:
     imgui.same_line()
     if w.button("Approach", why_not, "go to this depth in one go; nothing is cut"):
         console.knife.approach(console.knife.depth_um)
-    if w.button("Feed one", why_not, f"forward by {console.form.sections.thickness_nm:g} nm"):
+    if w.button("Feed one", why_not, "forward by the thickness of the first cut"):
         console.knife.feed_once()
     imgui.same_line()
     if w.button("Arm knife", why_not, "allow one cut within the next 10 s"):

@@ -41,6 +41,12 @@ def button(label: str, why_not: str = "", hint: str = "", width: float = 0.0) ->
     return pressed
 
 
+def hint(words: str) -> None:
+    """Say more of the last field under the mouse."""
+    if imgui.is_item_hovered(WHY_NOT):
+        imgui.set_tooltip(words)
+
+
 def choice(label: str, items: Sequence[str], chosen: str, width: float) -> str:
     """Draw a drop-down list and return what is chosen."""
     imgui.set_next_item_width(em(width).x)
