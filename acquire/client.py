@@ -28,6 +28,7 @@ from acquire.state import FINAL
 from acquire.viewer import RingViewer
 from devices.clock import SystemClock
 from devices.errors import DeviceBusy, InputError, StereotomeError
+from devices.feed_errors import undecided
 from devices.rig import RigSpec
 
 if TYPE_CHECKING:
@@ -234,7 +235,7 @@ class Instrument:
 
     def feed(self, thickness_nm: float, *, expect_section: int) -> replies.Depth:
         """Feed forward by one section; refused unless the knife has counted ``expect_section`` strokes."""
-        return self._call(requests.FeedSection(thickness_nm=thickness_nm, expect_section=expect_section), replies.Depth)
+        return self._removing(requests.FeedSection(thickness_nm=thickness_nm, expect_section=expect_section))
 
     def arm_knife(self) -> None:
         """Allow one cut within the next 10 s."""
@@ -242,7 +243,7 @@ class Instrument:
 
     def cut(self, *, expect_section: int) -> replies.Depth:
         """Take one section with the armed knife; refused unless it has counted ``expect_section`` strokes."""
-        return self._call(requests.CutSection(expect_section=expect_section), replies.Depth)
+        return self._removing(requests.CutSection(expect_section=expect_section))
 
     def instrument(self) -> RigSpec:
         """Return what the instrument is."""
@@ -327,6 +328,14 @@ class Instrument:
         if not isinstance(reply, kind):
             raise InputError(f"the instrument answered a {type(request).__name__} with {reply}.", code="serve-request")
         return reply
+
+    def _removing(self, request: requests.FeedSection | requests.CutSection) -> replies.Depth:
+        """Ask for a feed or cut; one of which no answer came may have been made or not, and is not asked for again."""
+        try:
+            return self._call(request, replies.Depth)
+        except ServerGone as gone:
+            what = "feed" if isinstance(request, requests.FeedSection) else "cut"
+            raise undecided(f"the instrument process was told to {what} once", gone) from gone
 
     def _began(self, request: requests.StartRun | requests.ContinueRun) -> replies.Started:
         started = self._call(request, replies.Started)

@@ -50,7 +50,7 @@ ONLY = At()
 
 def show(*, at: At = ONLY) -> None:
     """Say how an instrument that is being served stands: stage, camera, run, and who commands it."""
-    with _met(at) as instrument:
+    with met(at) as instrument:
         _tell(instrument, at)
 
 
@@ -130,7 +130,7 @@ def note(text: str, /, *, at: At = ONLY) -> None:
 
 def stop(*, at: At = ONLY) -> None:
     """Stop all motion now and end the run; needs no command, and holds until `stereotome control release`."""
-    with _met(at) as instrument:
+    with met(at) as instrument:
         stopped = instrument.stop()
         _tell(instrument, at)
     if stopped.failed:
@@ -145,14 +145,15 @@ def release(*, at: At = ONLY) -> None:
         instrument.clear_stop()
 
 
-def _met(at: At) -> Instrument:
+def met(at: At) -> Instrument:
+    """Connect to an instrument."""
     return Instrument.connect(at.server, keys=at.keys)
 
 
 @contextmanager
 def _commanded(at: At) -> Iterator[Instrument]:
     """Command an instrument, and say how it stands afterwards."""
-    with _met(at) as instrument:
+    with met(at) as instrument:
         instrument.command()
         yield instrument
         _tell(instrument, at)

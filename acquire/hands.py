@@ -63,8 +63,10 @@ class Hands:
         return self._depth()
 
     def retract(self) -> Depth:
-        """Bring the knife out."""
-        self._feed()[1].abort()
+        """Bring the knife out, then look: a feed that was in doubt is ready again if nothing speaks against it."""
+        _, by_hand = self._feed()
+        by_hand.abort()
+        by_hand.resolve()
         return self._depth()
 
     def feed(self, thickness_nm: float) -> Depth:

@@ -209,7 +209,10 @@ class Host:
             case _ if request.lane == "camera":
                 return self._with_camera(request)
             case _:
-                return self._with_feed(request)
+                try:
+                    return self._with_feed(request)
+                finally:  # nobody who asks after the answer is told an older place
+                    self._read_feed()
 
     def _arrived(self, position: replies.Position) -> replies.Position:
         """Note where the stage rests, so that nobody who asks after the answer is told an older place."""
@@ -321,8 +324,14 @@ class Host:
     def _read(self, *, with_feed: bool) -> None:
         try:
             self._z_um, self._z_read_s = self._rig.stage.position_um(), self._clock.now()
-            if with_feed and not self._lanes["motion"].busy:
-                self._feed_view = self._hands.look_at_feed()
+        except DeviceError as error:
+            log.warning("%s", error.what)
+        if with_feed and not self._lanes["motion"].busy:
+            self._read_feed()
+
+    def _read_feed(self) -> None:
+        try:
+            self._feed_view = self._hands.look_at_feed()
         except DeviceError as error:
             log.warning("%s", error.what)
 

@@ -44,6 +44,13 @@ COMMAND_HELP = {
     "control pause": "Have the run wait after this plane, stack or section.",
     "control release": "Allow motion again after a stop.",
     "control resume": "Let a run that waits go on.",
+    "control section": "Feed and knife by hand.",
+    "control section approach": "Go forward to an absolute depth in one go.",
+    "control section cut": "Take one section with the knife, once.",
+    "control section feed": "Feed forward by the thickness of one section, once.",
+    "control section home": "Move the feed to its home switch.",
+    "control section retract": "Bring the knife out, or draw the feed back.",
+    "control section show": "Say where feed and knife stand; nothing moves.",
     "control show": "Say how stage, camera and run stand, and who commands.",
     "control stop": "Stop all motion now and end the run.",
     "control zero": "Call the stage's present place 0 µm.",
@@ -145,12 +152,18 @@ def build_app(arguments: Sequence[str]) -> App:
     groups = {"": app}
     for point in sorted(installed(GROUP), key=lambda point: point.name):
         group, _, name = point.name.rpartition(" ")
-        if group not in groups:
-            groups[group] = App(group, help=COMMAND_HELP.get(group, ""))
-            app.command(groups[group])
         words = None if asked.startswith(point.name) else COMMAND_HELP.get(point.name)
-        groups[group].command(point.value, name=name, help=words)
+        _group(groups, group).command(point.value, name=name, help=words)
     return app
+
+
+def _group(groups: dict[str, App], path: str) -> App:
+    """Return the command under which others stand, made on first use."""
+    if path not in groups:
+        above, _, name = path.rpartition(" ")
+        groups[path] = App(name, help=COMMAND_HELP.get(path, ""))
+        _group(groups, above).command(groups[path])
+    return groups[path]
 
 
 def _usage(error: CycloptsError) -> str:

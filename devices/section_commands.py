@@ -73,8 +73,7 @@ def home(*, instrument: Instrument, yes: Flag = False) -> None:
     yes
         Do it: the feed may travel its whole length.
     """
-    if not yes:
-        raise Unsafe("feed: homing may move it through its whole travel. Nothing was sent.", fix="say so: --yes")
+    check_homing_wanted(yes)
     with _open(instrument) as feed:
         feed.home()
         _report(feed)
@@ -91,7 +90,7 @@ def approach(depth_um: float, /, *, instrument: Instrument, homed: Flag = False)
         This drive cannot tell; I homed it since its power came on.
     """
     with _open(instrument, homed=homed) as feed:
-        _refuse_direction(depth_um * NM_PER_UM < feed.position_nm(), "backwards", "retract")
+        refuse_direction(depth_um * NM_PER_UM < feed.position_nm(), "backwards", "section retract")
         feed.approach_to(depth_um * NM_PER_UM)
         _report(feed)
 
@@ -150,7 +149,7 @@ def retract(
         elif depth_um is None:
             raise Unsafe("section retract: how far? Nothing was sent.", fix="give a depth in µm, or --knife.")
         else:
-            _refuse_direction(depth_um * NM_PER_UM > device.position_nm(), "forwards", "approach")
+            refuse_direction(depth_um * NM_PER_UM > device.position_nm(), "forwards", "section approach")
             device.approach_to(depth_um * NM_PER_UM)
         _report(device)
 
@@ -222,9 +221,16 @@ def _spec(instrument: Path) -> FeedSpec:
     return table
 
 
-def _refuse_direction(wrong: bool, way: str, other: str) -> None:  # noqa: FBT001
+def check_homing_wanted(yes: bool) -> None:  # noqa: FBT001
+    """Raise `Unsafe` unless the operator said yes."""
+    if not yes:
+        raise Unsafe("feed: homing may move it through its whole travel. Nothing was sent.", fix="say so: --yes")
+
+
+def refuse_direction(wrong: bool, way: str, command: str) -> None:  # noqa: FBT001
+    """Raise `Unsafe` if a depth lies on the wrong side; ``command`` goes to it."""
     if wrong:
-        raise Unsafe(f"feed: that is {way}. Nothing was sent.", fix=f"use stereotome section {other}")
+        raise Unsafe(f"feed: that is {way}. Nothing was sent.", fix=f"use stereotome {command}")
 
 
 def _report(feed: ModbusFeed) -> None:
