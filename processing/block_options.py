@@ -7,6 +7,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from devices.errors import InputError
+
 WORK = ".blocks"  # the folder of blocks, in that of the results
 
 
@@ -30,3 +32,12 @@ class Blocks:
 
 
 IN_MEMORY = Blocks()
+
+
+def whole_needed(what: str) -> InputError:
+    """Return the error that something needs the whole volume in memory."""
+    return InputError(
+        f"{what} looks at the whole volume and cannot go block by block.",
+        fix=("leave out --memory, --scheduler and --resume", "make the volume smaller first: process resample"),
+        code="blockwise",
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as notation
+import shutil
 import sys
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path  # noqa: TC003  the command line is made from the annotations
@@ -14,13 +15,14 @@ from acquire.progress import progress
 from acquire.words import spanned
 from devices.clock import SystemClock
 from devices.errors import InputError
+from processing.block_options import IN_MEMORY, WORK, Blocks, whole_needed
+from processing.block_source import Source
 from processing.focus import SHARPNESS, FocusResult, focus_stack
 from processing.focus_tracks import Method, Options  # noqa: TC001  as above
 from processing.focus_view import View, ViewedPlanes
 from processing.memory import check_memory
 from processing.outputs import about_stack, check_folder, peak_memory_mb, write_focus_result
 from processing.range_operators import fill as fill_range
-from processing.stack import Stack, open_stack
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,7 +30,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from devices.protocols import Clock
+    from processing.focus_blocks import InPieces
     from processing.registration import Planes
+    from processing.stack import Stack
 
     Array = NDArray[Any]
 
@@ -54,6 +58,7 @@ def focus(
     channel: int | None = None,
     time: int | None = None,
     register: Registration = "auto",
+    blocks: Blocks = IN_MEMORY,
     overwrite: Annotated[bool, Switch] = False,
     json: Annotated[bool, Switch] = False,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative="")] = False,
@@ -95,13 +100,20 @@ def focus(
         Show no progress and no notes.
     """
     check_folder(output, overwrite=overwrite)
-    opened = open_stack(stack, step_um=step_um, channel=channel, time=time)
-    check_memory(needed_bytes(opened), f"the focus of {opened.source}", "cut the planes into fields, or bin them first")
+    source = Source(stack, step_um, channel, time)
+    opened = source.stack
     _say_notes([] if quiet else opened.notes)
     view = View(azimuth_deg, tilt_deg) if azimuth_deg or tilt_deg else None
     options: Options = {"method": method, "threshold": threshold, "band": None if band is None else BANDS.index(band)}
     work = Work(opened, options, view, REGISTER[register], SystemClock())
-    result, facts = work.measure(quiet=quiet)
+    found: InMemory | InPieces
+    if blocks.wanted:
+        check_local(view, fill=fill)
+        found, facts = work.by_blocks(source, blocks, output, overwrite=overwrite, quiet=quiet)
+    else:
+        check_memory(needed_bytes(opened), f"the focus of {opened.source}", "go tile by tile: --memory 2GB")
+        found, facts = work.measure(quiet=quiet)
+    result = found.shown
     doubts = [
         words
         for words in (doubtful(result.share_confident, len(opened)), blank(result.parameters["blank_planes"]))
@@ -109,10 +121,31 @@ def focus(
     ]
     _say_notes([] if quiet else doubts)
     facts["notes"] += doubts
-    result = filled(result) if fill else result
-    report = write_focus_result(result, output, pixel_um=opened.pixel_um, facts=facts, overwrite=overwrite)
+    found = InMemory(filled(result)) if fill else found
+    check_folder(output, overwrite=overwrite)
+    report = found.write(output, pixel_um=opened.pixel_um, facts=facts)
+    shutil.rmtree(output / WORK, ignore_errors=True)
     sys.stdout.write(notation.dumps(report, ensure_ascii=False) + "\n" if json else summary(report, output))
     return 0
+
+
+def check_local(view: View | None, *, fill: bool) -> None:
+    """Raise `InputError` ``blockwise`` for what looks at the whole and cannot go tile by tile."""
+    if view is not None:
+        raise whole_needed("a view from the side")
+    if fill:
+        raise whole_needed("--fill")
+
+
+@dataclass(frozen=True)
+class InMemory:
+    """What was found, as a whole."""
+
+    shown: FocusResult
+
+    def write(self, folder: Path, *, pixel_um: float | None, facts: dict[str, Any]) -> dict[str, Any]:
+        """Write it; returns the report."""
+        return write_focus_result(self.shown, folder, pixel_um=pixel_um, facts=facts, overwrite=True)
 
 
 @dataclass(frozen=True)
@@ -125,7 +158,7 @@ class Work:
     register: bool | Literal["auto"]
     clock: Clock
 
-    def measure(self, *, quiet: bool) -> tuple[FocusResult, dict[str, Any]]:
+    def measure(self, *, quiet: bool) -> tuple[InMemory, dict[str, Any]]:
         """Measure the stack and return what was found and what it took."""
         begin = self.clock.now()
         planes, z_um, options = self._seen()
@@ -137,9 +170,24 @@ class Work:
                 progress=lambda share: show(round(share * len(planes))),
                 **options,
             )
+        return InMemory(result), self._facts(begin)
+
+    def by_blocks(
+        self, source: Source, blocks: Blocks, output: Path, *, overwrite: bool, quiet: bool
+    ) -> tuple[InPieces, dict[str, Any]]:
+        """Measure the stack tile by tile."""
+        from processing.focus_blocks import focus_by_blocks  # noqa: PLC0415  dask takes a second
+
+        begin, per_pixel = self.clock.now(), bytes_per_pixel(self.stack)
+        how = (source, self.options, self.register, per_pixel, blocks, output)
+        found = focus_by_blocks(*how, overwrite=overwrite, quiet=quiet)
+        told = {"memory": blocks.memory, "tile_px": found.ranges.side, "halo_px": found.ranges.halo[0]}
+        return found, {**self._facts(begin), "blocks": told}
+
+    def _facts(self, begin: float) -> dict[str, Any]:
         took = {"seconds": round(self.clock.now() - begin, 3), "peak_memory_mb": round(peak_memory_mb(), 1)}
         seen = None if self.view is None else asdict(self.view)
-        return result, {**about_stack(self.stack), "view": seen, **took}
+        return {**about_stack(self.stack), "view": seen, **took}
 
     def _seen(self) -> tuple[Planes, Array | None, Options]:
         """Return the planes to be measured, their positions, and how."""
@@ -158,8 +206,12 @@ class Work:
 
 def needed_bytes(stack: Stack) -> float:
     """Return about what the state, the maps and the picture of a stack take at most, whatever its number of planes."""
-    pixels = stack.shape[0] * stack.shape[1]
-    return float(pixels * (BYTES_PER_PIXEL + BYTES_PER_BAND * (3 if stack.colour else 1)))
+    return float(stack.shape[0] * stack.shape[1]) * bytes_per_pixel(stack)
+
+
+def bytes_per_pixel(stack: Stack) -> float:
+    """Return about what measuring one pixel takes."""
+    return float(BYTES_PER_PIXEL + BYTES_PER_BAND * (3 if stack.colour else 1))
 
 
 def doubtful(share_confident: float, planes: int) -> str:

@@ -8,19 +8,19 @@ everywhere. `focus_stack` does both for a whole stack and gives the same bits as
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
 from devices.errors import InputError
 from processing.focus_kernels import BLOCK, blend, mean_of
 from processing.focus_pyramid import SoftPyramid
-from processing.focus_tracks import Measured, Method, one_band, read_only, track_for
+from processing.focus_tracks import Measured, Method, Options, mean_light, one_band, read_only, track_for
 from processing.focus_windows import CONFIDENT, HALO, WINDOWS
 from processing.registration import SMALLEST_SIDE, RegisteredPlanes, placements, typical_step
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -154,15 +154,23 @@ class FocusSweep:
         held = self._track.nbytes + (self._soft.nbytes if self._soft else 0)
         return held / (self.shape[0] * self.shape[1])
 
-    def add(self, plane: Array) -> None:
-        """Take the next plane, (height, width) or (height, width, 3), uint8 or uint16."""
+    def add(self, plane: Array, about: PlaneFacts | None = None) -> None:
+        """Take the next plane, (height, width) or (height, width, 3), uint8 or uint16.
+
+        Parameters
+        ----------
+        plane : array
+        about : PlaneFacts, optional
+            Where this is a part of a plane: what is to be known of all of it.
+        """
         check_plane(plane, self.shape)
         plane = read_only(plane)
-        if plane.min() == plane.max():
+        about = plane_facts(plane, self._band) if about is None else about
+        if about.noise is None:
             self._blank.append(self.count)
         else:
-            self.noise = min(self.noise, plane_noise(plane))
-        self._track.add(one_band(plane, self._band), self.count)
+            self.noise = min(self.noise, about.noise)
+        self._track.add(one_band(plane, self._band), self.count, about.light)
         if self._soft:
             self._soft.add(plane, self._noise_so_far)
         self.count += 1
@@ -206,7 +214,7 @@ class FocusSweep:
             Unit of its positions.
         """
         reach = gather_reach(image) if self.method == "brightfield" else 0.0
-        picture = gather(planes, image, reach) if self._soft is None else self._soft.picture()
+        picture = gather(planes, image, reach) if self._soft is None else self.soft_picture()
         return FocusResult(
             extended_focus=picture,
             range=image.range_,
@@ -216,19 +224,38 @@ class FocusSweep:
             unit=unit,
             noise=image.noise,
             share_confident=float(np.mean(image.confidence >= CONFIDENT)),
-            parameters={
-                "method": self.method,
-                "planes": image.z.size,
-                "threshold": self._threshold,
-                "band": self._band,
-                "confident": CONFIDENT,
-                "focus_curve_width": curve_width(image),
-                "gather_reach": reach,
-                "blank_planes": list(self._blank),
-                "share_in_end_planes": float(np.mean(image.edge)),
-                **({"windows": [asdict(w) for w in WINDOWS], "halo": HALO} if self.method in SHARPNESS else {}),
-            },
+            parameters=made_choices(
+                {"method": self.method, "threshold": self._threshold, "band": self._band},
+                planes=image.z.size,
+                blank=self._blank,
+                width=curve_width(image),
+                reach=reach,
+                share_in_end_planes=float(np.mean(image.edge)),
+            ),
         )
+
+    def soft_picture(self) -> Array:
+        """Return the extended focus of the method transparent, of the planes taken so far."""
+        assert self._soft is not None
+        return self._soft.picture()
+
+
+def made_choices(
+    options: Options, *, planes: int, blank: Sequence[int], width: float, reach: float, share_in_end_planes: float
+) -> dict[str, Any]:
+    """Return every choice that was made, for a report."""
+    return {
+        "method": options["method"],
+        "planes": planes,
+        "threshold": options.get("threshold"),
+        "band": options.get("band"),
+        "confident": CONFIDENT,
+        "focus_curve_width": width,
+        "gather_reach": reach,
+        "blank_planes": list(blank),
+        "share_in_end_planes": share_in_end_planes,
+        **({"windows": [asdict(w) for w in WINDOWS], "halo": HALO} if options["method"] in SHARPNESS else {}),
+    }
 
 
 def nothing_known(measured: Measured, z: NDArray[np.float64]) -> Measured:
@@ -357,14 +384,24 @@ def registered(planes: Planes, *, wanted: bool | Literal["auto"]) -> tuple[Plane
 
 def curve_width(image: RangeImage) -> float:
     """Typical width of the focus curve where it is known with confidence, 0 when it is nowhere."""
-    sure = (image.confidence >= CONFIDENT) & (image.width > 0)
-    return float(np.median(image.width[sure])) if sure.any() else 0.0
+    known = sure_widths(image.confidence, image.width)
+    return float(np.median(known)) if known.size else 0.0
+
+
+def sure_widths(confidence: Array, width: Array) -> Array:
+    """Return the widths of the focus curve that are known with confidence."""
+    return width[(confidence >= CONFIDENT) & (width > 0)]
 
 
 def gather_reach(image: RangeImage) -> float:
     """Depth over which planes are equally sharp; 0 where they are too far apart for any averaging but a softening."""
-    spacing = float(np.median(np.abs(np.diff(image.z)))) if image.z.size > 1 else 0.0
-    reach = GATHER_SHARE * curve_width(image)
+    return reach_of(curve_width(image), image.z)
+
+
+def reach_of(width: float, z: NDArray[np.float64]) -> float:
+    """Return the reach that goes with a typical width of the focus curve."""
+    spacing = float(np.median(np.abs(np.diff(z)))) if z.size > 1 else 0.0
+    reach = GATHER_SHARE * width
     return reach if reach >= spacing else 0.0
 
 
@@ -405,6 +442,19 @@ def check_plane(plane: Array, shape: tuple[int, int]) -> None:
         )
     if plane.dtype not in (np.uint8, np.uint16):
         raise InputError(f"A plane is {plane.dtype}.", fix="give 8 or 16 bit unsigned planes.", code="stack-dtype")
+
+
+class PlaneFacts(NamedTuple):
+    """What must be known of a whole plane: its noise in grey levels, None where it shows nothing, and its mean."""
+
+    noise: float | None
+    light: float
+
+
+def plane_facts(plane: Array, band: int | None) -> PlaneFacts:
+    """Return what must be known of a plane of which a band decides."""
+    noise = None if plane.min() == plane.max() else plane_noise(plane)
+    return PlaneFacts(noise, mean_light(one_band(plane, band)))
 
 
 def plane_noise(plane: Array) -> float:

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from processing.compiled import compiled
+from processing.focus_kernels import halve
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -99,9 +100,10 @@ def strengths(levels: list[Array], noise: float) -> list[Array]:
         energy = cv2.multiply(level, level, scale=1 / (share * bands * noise**2))
         energy = energy if bands == 1 else energy.sum(-1)
         found.append(cv2.GaussianBlur(energy, (0, 0), SIGMA) - 1)
-    size = (levels[-1].shape[1], levels[-1].shape[0])
-    last = found[-1] if found else np.zeros(size[::-1], np.float32)
-    return [*found, cv2.resize(last, size, interpolation=cv2.INTER_AREA)]
+    last = np.zeros(levels[-1].shape[:2], np.float32)
+    if found:
+        halve(found[-1], last)
+    return [*found, last]
 
 
 def collapsed(levels: list[Array]) -> Array:

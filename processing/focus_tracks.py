@@ -52,8 +52,8 @@ class Track(Protocol):
     def nbytes(self) -> int:
         """Bytes held between planes."""
 
-    def add(self, plane: Array, k: int) -> None:
-        """Take plane ``k``, (height, width[, 3]) uint8 or uint16, read-only."""
+    def add(self, plane: Array, k: int, light: float) -> None:
+        """Take plane ``k``, (height, width[, 3]) uint8 or uint16, read-only; ``light`` is the mean of all of it."""
 
     def measured(self, z: NDArray[np.float64], noise: float) -> Measured:
         """Return what is known of planes at ``z``; ``noise`` of the camera in grey levels."""
@@ -86,12 +86,12 @@ class SharpTrack:
         """Bytes held between planes, work space included."""
         return sum(w.nbytes for w in self._windows) + sum(2 * e.nbytes for e in self._energy)
 
-    def add(self, plane: Array, k: int) -> None:
+    def add(self, plane: Array, k: int, light: float) -> None:
         """Take plane ``k``."""
         if not self._windows:
             self._make_windows()
         bands = 1 if plane.ndim == 2 else plane.shape[2]
-        gradient_energy(plane.reshape(plane.shape[0], -1), bands, self._lamp_gain(plane), self._energy[0])
+        gradient_energy(plane.reshape(plane.shape[0], -1), bands, self._lamp_gain(light), self._energy[0])
         for energy, window, coarser in zip(self._energy, self._windows, [*self._energy[1:], None], strict=True):
             smooth = cv2.sepFilter2D(energy, -1, BINOMIAL, BINOMIAL, borderType=cv2.BORDER_REPLICATE)
             window.add(smooth, k)
@@ -105,9 +105,8 @@ class SharpTrack:
             self._windows.append(PeakTrack(shape, np.float32))
             self._energy.append(np.empty(shape, np.float32))
 
-    def _lamp_gain(self, plane: Array) -> float:
+    def _lamp_gain(self, light: float) -> float:
         """Gain that gives the plane the brightness of the first one: a flickering lamp must not look like focus."""
-        light = float(np.mean(cv2.mean(plane)[: 1 if plane.ndim == 2 else 3]))
         self._first_light = self._first_light or light
         return float(np.clip(self._first_light / light, 1 / MOST_GAIN, MOST_GAIN)) if light else 1.0
 
@@ -133,11 +132,12 @@ class BrightTrack:
         """Bytes held between planes."""
         return self._peak.nbytes if self._peak else 0
 
-    def add(self, plane: Array, k: int) -> None:
+    def add(self, plane: Array, k: int, light: float) -> None:
         """Take plane ``k``."""
-        light, self._gain = brightness(plane)
-        self._peak = self._peak or PeakTrack(self._shape, light.dtype.type)
-        self._peak.add(light, k)
+        del light
+        seen, self._gain = brightness(plane)
+        self._peak = self._peak or PeakTrack(self._shape, seen.dtype.type)
+        self._peak.add(seen, k)
 
     def measured(self, z: NDArray[np.float64], noise: float) -> Measured:
         """Brightness of a pixel nothing shines in peaks somewhere, too: noise counts against the confidence.
@@ -198,11 +198,12 @@ class FirstTrack:
         """Bytes held between planes."""
         return sum(a.nbytes for a in (self._plane, self._fraction, self._before, self._top))
 
-    def add(self, plane: Array, k: int) -> None:
+    def add(self, plane: Array, k: int, light: float) -> None:
         """Take plane ``k``."""
-        light, self._gain = brightness(plane)
+        del light
+        seen, self._gain = brightness(plane)
         state = (self._plane, self._fraction, self._before, self._top)
-        first_above(light.reshape(-1), self._gain * self._threshold, k, *state)
+        first_above(seen.reshape(-1), self._gain * self._threshold, k, *state)
 
     def measured(self, z: NDArray[np.float64], noise: float) -> Measured:
         """Return where the threshold is passed, between planes; NaN where it never is."""
@@ -211,6 +212,11 @@ class FirstTrack:
         passed = (self._top.reshape(self._shape) / self._gain - self._threshold) / (PEAK_OF_NOISE * noise)
         confidence = np.where(np.isnan(back), 0, np.maximum(passed, 0)).astype(np.float32)
         return Measured((z[plane] - back).astype(np.float32), confidence, np.zeros(self._shape, np.float32), plane)
+
+
+def mean_light(plane: Array) -> float:
+    """Return the mean grey level of a plane, over all its bands."""
+    return float(np.mean(cv2.mean(plane)[: 1 if plane.ndim == 2 else 3]))
 
 
 def one_band(plane: Array, band: int | None) -> Array:

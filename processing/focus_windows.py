@@ -145,7 +145,7 @@ def guarded(fit: Fit) -> Fit:
     halo = np.empty(top.shape, np.bool_)
     explained(top, position, width, RINGS, BLUR_REACH / (step * HALVED), HALO, halo)
     marked = cv2.medianBlur(halo.astype(np.float32), 3)
-    spread = cv2.resize(marked, fit.top.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    spread = doubled(marked, fit.top.shape)
     return fit._replace(confidence=fit.confidence * (1 - spread))
 
 

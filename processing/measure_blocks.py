@@ -11,6 +11,7 @@ import numpy as np
 
 from devices.errors import InputError
 from processing.block_job import block_job
+from processing.block_options import whole_needed
 from processing.blockwise import amount, fitted
 from processing.labels import checked_labels
 from processing.measuring import Features
@@ -110,12 +111,3 @@ def _check_table(count: int, memory: str | None) -> None:
             fix=("drop the smallest: --smallest N", "smooth first: --first filter.median", "allow more: --memory"),
             code="memory",
         )
-
-
-def whole_needed(what: str) -> InputError:
-    """Return the error that something needs the whole volume in memory."""
-    return InputError(
-        f"{what} looks at the whole volume and cannot go block by block.",
-        fix=("leave out --memory, --scheduler and --resume", "make the volume smaller first: process resample"),
-        code="blockwise",
-    )

@@ -17,7 +17,7 @@ from acquire.progress import progress
 from devices.clock import SystemClock
 from devices.errors import InputError
 from processing import circles, measure_network, measure_report
-from processing.block_options import IN_MEMORY, WORK, Blocks
+from processing.block_options import IN_MEMORY, WORK, Blocks, whole_needed
 from processing.grey_volume import GreyVolume, open_volume, read_volume
 from processing.measuring import Features, Measurement, Question, measure_features, told_apart, with_network
 from processing.outputs import peak_memory_mb, versions, write_durably
@@ -190,7 +190,7 @@ class Task:
         return told_apart(prepared(stored, self.steps), self.question)
 
     def _by_blocks(self, stored: GreyVolume, blocks: Blocks) -> AbstractContextManager[Features]:
-        from processing.measure_blocks import by_blocks, whole_needed  # noqa: PLC0415  dask takes a second
+        from processing.measure_blocks import by_blocks  # noqa: PLC0415  dask takes a second
 
         if self.skeleton:
             raise whole_needed("--skeleton")

@@ -16,6 +16,7 @@ import tempfile
 from contextlib import suppress
 from importlib.metadata import version
 from io import BytesIO
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +28,8 @@ from devices.errors import InputError, StoreError
 from processing.pictures import confidence_map, png_bytes, preview, range_map, width_map
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
     from numpy.typing import NDArray
 
     from processing.focus import FocusResult
@@ -108,15 +111,26 @@ def write_focus_result(
         ``disk-full`` or ``store``: the disk refused; earlier results are as they were.
     """
     check_folder(folder, overwrite=overwrite)
-    contents = _contents(result, pixel_um)
-    files = [*contents, REPORT]
-    report = {**_measured(result), "pixel_um": pixel_um, **(facts or {}), "versions": versions(), "files": files}
-    contents[REPORT] = (json.dumps(report, indent=1, ensure_ascii=False, default=_plain) + "\n").encode()
+
+    def fill(aside: Path) -> list[str]:
+        images = {name: (getattr(result, layer), words) for name, (layer, words) in image_words(result).items()}
+        for name, (image, words) in images.items():
+            write_durably(aside / name, tiff_bytes(as_stored(image), pixel_um, words))
+        return [*images, *write_previews(aside, result, pixel_um)]
+
+    about = {**measured(result, span_of(result)), "pixel_um": pixel_um, **(facts or {})}
+    return publish_focus(folder, about, fill)
+
+
+def publish_focus(folder: Path, about: dict[str, Any], fill: Callable[[Path], list[str]]) -> dict[str, Any]:
+    """Have ``fill`` write files aside and return their names; then show them all, the report ``about`` them last."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".part-", dir=folder) as aside:
-            for name, content in contents.items():
-                write_durably(Path(aside) / name, content)
+            files = [*fill(Path(aside)), REPORT]
+            report = {**about, "versions": versions(), "files": files}
+            words = json.dumps(report, indent=1, ensure_ascii=False, default=_plain) + "\n"
+            write_durably(Path(aside) / REPORT, words.encode())
             for name in files:
                 (Path(aside) / name).replace(folder / name)
             if FILLED not in files:
@@ -127,53 +141,92 @@ def write_focus_result(
     return report
 
 
-def _contents(result: FocusResult, pixel_um: float | None) -> dict[str, bytes]:
-    """Encode every image."""
-    confident = float(result.parameters["confident"])
+def image_words(result: FocusResult) -> dict[str, tuple[str, str]]:
+    """Return, for each TIFF, which layer of a result is in it, and what it says of itself."""
     unit = "um" if result.unit == "um" else "planes"
     span = f"range in {unit}{'' if result.unit == 'um' else ' counted from 0'}"
     images = {
-        "extended_focus.tif": (result.extended_focus, "extended focus"),
-        "range.tif": (result.range, span),
-        "confidence.tif": (result.confidence, "confidence of the range"),
-        "plane.tif": (result.plane, "plane nearest to the best focus, counted from 0"),
-        "width.tif": (result.width, f"width of the focus curve at half its height in {unit}; 0 unknown"),
+        "extended_focus.tif": ("extended_focus", "extended focus"),
+        "range.tif": ("range", span),
+        "confidence.tif": ("confidence", "confidence of the range"),
+        "plane.tif": ("plane", "plane nearest to the best focus, counted from 0"),
+        "width.tif": ("width", f"width of the focus curve at half its height in {unit}; 0 unknown"),
     }
-    if result.filled is not None:
-        images[FILLED] = (np.where(result.filled, np.uint8(255), np.uint8(0)), "255 where the range was filled")
+    return images if result.filled is None else {**images, FILLED: ("filled", "255 where the range was filled")}
+
+
+def as_stored(image: Array) -> Array:
+    """Return an image as it is written: masks are 0 and 255."""
+    return np.where(image, np.uint8(255), np.uint8(0)) if image.dtype == np.bool_ else image
+
+
+def write_previews(folder: Path, result: FocusResult, pixel_um: float | None) -> list[str]:
+    """Draw what a result shows; returns the names of the pictures."""
+    confident = float(result.parameters["confident"])
     pictures = {
         "extended_focus.png": preview(result.extended_focus),
         "range.png": range_map(result.range, result.confidence, confident, result.unit, pixel_um),
         "confidence.png": confidence_map(result.confidence, confident, pixel_um),
         "width.png": width_map(result.width, result.confidence, confident, result.unit, pixel_um),
     }
-    return {
-        **{name: tiff_bytes(image, pixel_um, words) for name, (image, words) in images.items()},
-        **{name: png_bytes(picture) for name, picture in pictures.items()},
-    }
+    for name, picture in pictures.items():
+        write_durably(folder / name, png_bytes(picture))
+    return list(pictures)
+
+
+def tiff_options(image_shape: tuple[int, ...], pixel_um: float | None, description: str) -> dict[str, Any]:
+    """Return how an image (h, w) or RGB (h, w, 3) is written; pixel sizes become pixels per centimetre."""
+    per_cm = {} if pixel_um is None else {"resolution": (UM_PER_CM / pixel_um,) * 2, "resolutionunit": "CENTIMETER"}
+    kind = "rgb" if len(image_shape) == 3 else "minisblack"
+    about = {"description": description, "software": f"stereotome {version('stereotome')}", "metadata": None}
+    return {"photometric": kind, **about, **per_cm}
+
+
+def write_tiff_in_bands(
+    path: Path, bands: Iterable[Array], shape: tuple[int, ...], pixel_um: float | None, description: str
+) -> None:
+    """Write an image of which only some rows are there at once; the same file as `tiff_bytes` of the whole."""
+    rows = iter(bands)
+    first = next(rows)
+    whole = (*shape, *first.shape[2:])
+    place = tifffile.imwrite(
+        path, shape=whole, dtype=first.dtype, returnoffset=True, **tiff_options(whole, pixel_um, description)
+    )
+    assert place is not None
+    with path.open("r+b") as file:
+        file.seek(place[0])
+        for band in chain([first], rows):
+            file.write(np.ascontiguousarray(band).data)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def tiff_bytes(image: Array, pixel_um: float | None, description: str) -> bytes:
     """Encode (h, w) or RGB (h, w, 3) as TIFF; the pixel size becomes a resolution in pixels per centimetre."""
     file = BytesIO()
-    per_cm = {} if pixel_um is None else {"resolution": (UM_PER_CM / pixel_um,) * 2, "resolutionunit": "CENTIMETER"}
-    kind = "rgb" if image.ndim == 3 else "minisblack"
-    about = {"description": description, "software": f"stereotome {version('stereotome')}", "metadata": None}
-    tifffile.imwrite(file, image, photometric=kind, **about, **per_cm)  # type: ignore[arg-type]
+    tifffile.imwrite(file, image, **tiff_options(image.shape, pixel_um, description))
     return file.getvalue()
 
 
-def _measured(result: FocusResult) -> dict[str, Any]:
+SPAN_PERCENT = {"min": 0, "p1": 1, "median": 50, "p99": 99, "max": 100}
+
+
+def span_of(result: FocusResult) -> list[float | None]:
+    """Return percentiles of the range, of what is sure where anything is."""
     known = np.isfinite(result.range)
     sure = known & (result.confidence >= result.parameters["confident"])
     trusted = result.range[sure] if sure.any() else result.range[known]
-    percentiles = np.percentile(trusted, (0, 1, 50, 99, 100)) if trusted.size else [None] * 5
+    return list(np.percentile(trusted, list(SPAN_PERCENT.values()))) if trusted.size else [None] * len(SPAN_PERCENT)
+
+
+def measured(result: FocusResult, span: Sequence[float | None]) -> dict[str, Any]:
+    """Return what a report says of a result whose range has these percentiles."""
     return {
         "format": FORMAT,
         "version": FORMAT_VERSION,
         "method": result.parameters["method"],
         "unit": result.unit,
-        "range": dict(zip(("min", "p1", "median", "p99", "max"), percentiles, strict=True)),
+        "range": dict(zip(SPAN_PERCENT, span, strict=True)),
         "share_confident": result.share_confident,
         "share_filled": None if result.filled is None else float(np.mean(result.filled)),
         "noise_grey_levels": float(result.noise),
@@ -210,7 +263,7 @@ def _plain(value: object) -> object:
     raise TypeError(f"{type(value).__name__} has no place in a report")
 
 
-def write_durably(path: Path, content: bytes) -> None:
+def write_durably(path: Path, content: bytes | memoryview) -> None:
     """Write a file and wait until the disk has it."""
     with path.open("wb") as file:
         file.write(content)

@@ -145,14 +145,14 @@ class RegisteredPlanes:
     """The planes of a stack as seen in the frame of its reference plane, resampled whenever one is read."""
 
     def __init__(self, planes: Planes, placements: Sequence[Placement]) -> None:
-        self._planes, self._placements = planes, placements
+        self._planes, self.placements = planes, placements
 
     def __len__(self) -> int:
         return len(self._planes)
 
     def __getitem__(self, k: int) -> Array:
         plane = self._planes[k]
-        placement = self._placements[k]
+        placement = self.placements[k]
         return plane if placement == Placement() else resampled(plane, placement, cv2.INTER_LANCZOS4)
 
 

@@ -13,7 +13,9 @@ import zarr
 from scipy import ndimage
 
 from devices.cli import run
-from processing import blockwise, resample_blocks
+from processing import blockwise, focus_blocks, outputs, resample_blocks
+from processing.pictures import preview
+from processing.pieces import percentiles, ranked
 from processing.stack import open_stack
 
 if TYPE_CHECKING:
@@ -54,6 +56,118 @@ def test_threads_read_the_planes_they_asked_for(tmp_path: Path) -> None:
     with ThreadPoolExecutor(8) as pool:
         for _ in range(5):
             assert [set(plane.ravel()) for plane in pool.map(stack.plane, range(40))] == [{k} for k in range(40)]
+
+
+# -- extended focus and range
+
+SIDE = (157, 717)
+
+
+def relief(colour: bool, planes: int = 6) -> np.ndarray:
+    """Rough ground that rises to the right under a lamp that changes; what is off focus is blurred."""
+    texture = RNG.normal(size=SIDE)
+    texture[40:, 100:300] *= 0.05
+    height = np.linspace(0.4, planes - 1.4, SIDE[1])
+    seen = []
+    for z in range(planes):
+        levels = np.stack([ndimage.gaussian_filter(texture, s) for s in (0.3, 1, 2, 4)])
+        off = np.clip(np.abs(height - z) * 1.2, 0, 2.999)
+        low = off.astype(int)
+        rows = np.arange(SIDE[0])[:, None], np.arange(SIDE[1])
+        sharp = levels[(low, *rows)] * (1 - off % 1) + levels[(low + 1, *rows)] * (off % 1)
+        seen.append((100 + 25 * sharp) * (1 + 0.03 * z) + RNG.normal(size=SIDE))
+    grey = np.clip(np.array(seen), 0, 255).astype(np.uint8)
+    grey[2, 50:90, 50:90] = 255
+    return np.stack([grey, grey // 2, 255 - grey], -1) if colour else grey
+
+
+FOCUSED = [
+    ("brightfield", True, ["--band", "green", "--step-um", "0.5"]),
+    ("brightfield", False, ["--register", "on"]),
+    ("transparent", False, []),
+    ("confocal", True, ["--step-um", "2"]),
+    ("threshold", False, ["--threshold", "130"]),
+]
+
+
+@pytest.fixture
+def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tiles of 128 pixels, and maps drawn in a moment."""
+    monkeypatch.setattr(focus_blocks, "CORNER_PX", dict.fromkeys(focus_blocks.CORNER_PX, 128))
+    monkeypatch.setattr(focus_blocks, "tile_sides", lambda *_: range(128, 0, -128))
+    for name in ("range_map", "confidence_map", "width_map"):
+        monkeypatch.setattr(outputs, name, lambda values, *_: preview(np.nan_to_num(values)))
+
+
+@pytest.mark.parametrize(("method", "colour", "words"), FOCUSED)
+def test_focus_is_the_same_tile_by_tile(
+    method: str, colour: bool, words: list[str], tmp_path: Path, small_tiles: None
+) -> None:
+    np.save(tmp_path / "stack.npy", relief(colour))
+    words = ["--method", method, *words]
+    assert process("focus", tmp_path / "stack.npy", tmp_path / "whole", *words) == 0
+    assert process("focus", tmp_path / "stack.npy", tmp_path / "blocks", *words, "--memory", "100GB") == 0
+    one, other = report(tmp_path / "whole"), report(tmp_path / "blocks")
+    assert other.pop("blocks")["tile_px"] == 128
+    for numbers in (one, other):
+        for name in ("seconds", "peak_memory_mb"):
+            numbers.pop(name)
+        numbers["range"] = {k: pytest.approx(v, rel=1e-6, abs=1e-6) for k, v in numbers["range"].items()}
+    assert {k: v for k, v in one.items() if k != "range"} == {k: v for k, v in other.items() if k != "range"}
+    same_files(tmp_path / "whole", tmp_path / "blocks")
+
+
+def test_focus_that_was_left_goes_on_with_the_tiles_that_are_missing(
+    tmp_path: Path, small_tiles: None, monkeypatch, capsys
+) -> None:
+    monkeypatch.setattr(focus_blocks, "at_once", lambda _: 1)
+    np.save(tmp_path / "stack.npy", relief(colour=False)[:3])
+    data, out, words = tmp_path / "stack.npy", tmp_path / "out", ["--memory", "100GB", "--register", "off"]
+    done: list[int] = []
+    honest = focus_blocks.Measured.do
+
+    def do(self, k):
+        if len(done) == 3:
+            raise KeyboardInterrupt
+        done.append(k)
+        return honest(self, k)
+
+    monkeypatch.setattr(focus_blocks.Measured, "do", do)
+    assert process("focus", data, out, *words) == 130
+    assert process("focus", data, out, *words) == 2
+    assert "blocks-left" in capsys.readouterr().err
+    (out / ".blocks/measured/range-3.npy").write_bytes(b"half a tile")
+    monkeypatch.setattr(focus_blocks.Measured, "do", lambda self, k: done.append(k) or honest(self, k))
+    assert process("focus", data, out, *words, "--resume") == 0
+    assert sorted(done) == list(range(12))
+    assert process("focus", data, tmp_path / "whole", "--register", "off") == 0
+    same_files(tmp_path / "whole", out)
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (["--memory", "1MB"], "memory"),
+        (["--memory", "1GB", "--fill"], "blockwise"),
+        (["--memory", "1GB", "--method", "confocal", "--tilt-deg", "30"], "blockwise"),
+        (["--memory", "1GB", "--method", "threshold"], "focus-threshold"),
+    ],
+)
+def test_focus_that_cannot_go_tile_by_tile_is_told(words: list[str], code: str, tmp_path: Path, capsys) -> None:
+    np.save(tmp_path / "stack.npy", RNG.integers(0, 200, (3, 40, 50)).astype(np.uint8))
+    assert process("focus", tmp_path / "stack.npy", tmp_path / "out", *words) == 2
+    assert capsys.readouterr().err.count(f"error[{code}]") == 1
+    assert not (tmp_path / "out" / "report.json").exists()
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 1000])
+def test_percentiles_are_those_of_all_values(count: int) -> None:
+    values = np.concatenate([RNG.normal(size=count) * 10.0 ** RNG.integers(-9, 9), [0.0, -0.0]]).astype(np.float32)
+    values[: count // 3] = values[0]
+    chunks = np.array_split(values, min(count, 5))
+    at = [0, 1, 37.5, 50, 99, 100]
+    np.testing.assert_allclose(percentiles(lambda: chunks, at), np.percentile(values, at), rtol=1e-6)
+    assert ranked(lambda: chunks, range) == sorted(values)
 
 
 # -- cubic voxels
