@@ -8,6 +8,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from acquire import replies, requests
+from acquire.comeback import Comeback
 from acquire.hands import Hands
 from acquire.hosted_run import HostedRun
 from acquire.lanes import Job, Lane
@@ -58,6 +59,7 @@ class Host:
         self._run_comes = False
         self._live_before = False
         self._hands = Hands(rig)
+        self._comeback = Comeback(rig.stage)
         self.live = LiveView(lambda: rig.camera, clock, rig.spec.camera.exposure_ms, lambda: self._z_um)
         self.run = HostedRun(rig, clock, self._run_told, self._run_over)
         self._lanes = {name: Lane(name, clock) for name in ("motion", "camera", "run")}
@@ -201,10 +203,13 @@ class Host:
     def _by_hand_do(self, request: requests.AnyRequest) -> replies.AnyReply:
         match request:
             case requests.MoveStage():
+                self._comeback.check()
                 return self._arrived(self._hands.move(request.z_um))
             case requests.JogStage():
+                self._comeback.check()
                 return self._arrived(self._hands.jog(request.by_um))
             case requests.ZeroStage():
+                self._comeback.take_as_it_is()
                 return self._arrived(self._hands.zero())
             case _ if request.lane == "camera":
                 return self._with_camera(request)
@@ -216,8 +221,12 @@ class Host:
 
     def _arrived(self, position: replies.Position) -> replies.Position:
         """Note where the stage rests, so that nobody who asks after the answer is told an older place."""
-        self._z_um, self._z_read_s = position.z_um, self._clock.now()
+        self._stands(position.z_um)
         return position
+
+    def _stands(self, z_um: float) -> None:
+        self._z_um, self._z_read_s = z_um, self._clock.now()
+        self._comeback.knew(z_um)
 
     def _with_feed(self, request: requests.AnyRequest) -> replies.AnyReply:
         match request:
@@ -276,6 +285,7 @@ class Host:
         """Take all devices for a run; the live view goes on after it."""
         if self._stopped:
             raise Unsafe("the instrument was stopped. Nothing moved.", fix="clear the stop first", code="serve-stopped")
+        self._comeback.check()
         with self._free:
             if self.run.active or self._by_hand:
                 raise DeviceBusy(
@@ -295,7 +305,7 @@ class Host:
 
     def _run_told(self, event: dict[str, Any]) -> None:
         if event["event"] == "plane":
-            self._z_um, self._z_read_s = event["z_um"], self._clock.now()
+            self._stands(event["z_um"])
         self._telemetry.tell("run", replies.Event(event=event))
         self._look_now.set()
 
@@ -323,7 +333,9 @@ class Host:
 
     def _read(self, *, with_feed: bool) -> None:
         try:
-            self._z_um, self._z_read_s = self._rig.stage.position_um(), self._clock.now()
+            z_um = self._comeback.read_um(may_meet=not self._lanes["motion"].busy)
+            if z_um is not None:
+                self._z_um, self._z_read_s = z_um, self._clock.now()
         except DeviceError as error:
             log.warning("%s", error.what)
         if with_feed and not self._lanes["motion"].busy:

@@ -161,7 +161,7 @@ class Link:
             self._transport.close()
             if self._reopen is not None:
                 self._transport = self._reopen()
-            self._lost, self._quiet_s = None, 0.0
+            self._lost, self._quiet_s = None, self._timeout_s  # one that wakes up answers all it was asked before
 
     def _once(self, request: Request[T], wished: int) -> T:
         with self._conversation:

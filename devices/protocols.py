@@ -116,6 +116,34 @@ class SequencedStage(Protocol):
 
 
 @runtime_checkable
+class ComesBack(Protocol):
+    """A stage that knows when it was out of touch, and then moves only after it was met anew."""
+
+    @property
+    def position_known(self) -> bool:
+        """Whether it has been in touch without a break since it was met."""
+        ...
+
+    def reconnect(self, timeout_s: float, *, at_um: float | None = None) -> float:
+        """Meet it anew and return where it says it is, in µm; moves nothing.
+
+        Parameters
+        ----------
+        timeout_s : float
+            After which no further attempt is begun; 0 is one attempt.
+        at_um : float or None
+            Where it has to be; None takes any place.
+
+        Raises
+        ------
+        DeviceError
+            It does not answer, is another one (``device-other``), or is elsewhere or was reset (``position-unknown``);
+            moves stay refused.
+        """
+        ...
+
+
+@runtime_checkable
 class HandControls(Protocol):
     """A device that a hand can move as well, by a joystick or a wheel."""
 

@@ -31,6 +31,8 @@ class PiStage(PolledStage):
         An axis without reference searches it upon the first `greet`, and never again: not in the middle of a run.
     """
 
+    counts_from_power_on = False  # it counts from its reference or sensor, and tells when it has none
+
     def __init__(self, link: Link, spec: AxisSpec, clock: Clock, *, may_reference: bool = False) -> None:
         super().__init__(link, spec, clock, tolerance_um=TOLERANCE_UM)
         self._may_reference = may_reference

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from threading import Event
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from devices.drivers.arrival import Arrival
 from devices.errors import DeviceError, LinkLost, MalformedReply, NoReply, StageStalled, StageTimeout
@@ -43,7 +43,14 @@ class PolledStage(ABC):
         Time.
     tolerance_um : float
         How near to its target an axis that rests has to be.
+
+    Attributes
+    ----------
+    counts_from_power_on : bool
+        Whether a controller that was switched off and on calls the place 0 where it stands then.
     """
+
+    counts_from_power_on: ClassVar[bool] = True
 
     def __init__(self, link: Link, spec: AxisSpec, clock: Clock, *, tolerance_um: float) -> None:
         self._link = link
@@ -107,18 +114,26 @@ class PolledStage(ABC):
         """Release the port; the axis stays where it is."""
         self._link.close()
 
-    def reconnect(self, timeout_s: float = RECONNECT_S) -> float:
+    def reconnect(self, timeout_s: float = RECONNECT_S, *, at_um: float | None = None) -> float:
         """Open the port anew, make sure that the same controller answers, and return the position it tells, in µm.
 
         Moves are accepted again afterwards.
 
+        Parameters
+        ----------
+        timeout_s : float
+            After which no further attempt is begun.
+        at_um : float or None
+            Where it has to be, and at rest; None takes whatever it tells.
+
         Raises
         ------
         DeviceError
-            Not within ``timeout_s``; or another controller answers (device-other). Moves stay refused.
+            Not within ``timeout_s``; another controller answers (device-other); it is elsewhere, or says 0 as after its
+            power was off (position-unknown). Moves stay refused.
         """
         self._target_um = None
-        return self._link.reconnect(self.greet, timeout_s)
+        return self._link.reconnect(self.greet if at_um is None else lambda: self._greet_at(at_um), timeout_s)
 
     def greet(self) -> float:
         """Identify the controller, make it ready to move, and return the position in µm.
@@ -139,6 +154,30 @@ class PolledStage(ABC):
         self._met = told
         self._prepare()
         return self.position_um()
+
+    def _greet_at(self, at_um: float) -> float:
+        """Greet the controller; raise `DeviceError` unless it stands where it was known to be last."""
+        z_um = self.greet()
+        if self._moving():
+            raise DeviceError("z stage: it is back, and still moves.", fix="wait until it rests.")
+        near_um = self._tolerance_um * Arrival.ROUNDING
+        zeroed = self.counts_from_power_on and abs(z_um) <= near_um
+        if zeroed or not abs(z_um - at_um) <= near_um:  # nor is it where it was if nobody knows where that is
+            raise DeviceError(
+                f"z stage: it was out of touch, {at_um:+.2f} µm was read last, and it says {z_um:+.2f} µm now. "
+                "Nothing moved.",
+                why=(
+                    "It says 0 as after its power was off: then its numbers mean other places."
+                    if zeroed
+                    else "It was moved, or its power was off: then its numbers mean other places."
+                ),
+                fix=(
+                    "look where it is, and call that place 0: stereotome control zero, or Zero here",
+                    "or end the instrument's process, see to the stage, and start it anew",
+                ),
+                code="position-unknown",
+            )
+        return z_um
 
     @abstractmethod
     def identity(self) -> str:

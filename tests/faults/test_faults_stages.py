@@ -207,6 +207,42 @@ def test_after_the_plug_was_pulled_nothing_moves_before_it_reconnected(make):
 
 
 @every_stage
+@pytest.mark.parametrize("at_um", [TARGET_UM, TARGET_UM + 1.0, float("nan")])
+def test_it_comes_back_only_where_it_was(make, at_um: float):
+    stand = make()
+    assert stand.arrived() == "arrived"
+    stand.wire.plugged = False
+    with pytest.raises(LinkLost):
+        stand.stage.position_um()
+    stand.wire.plugged = True
+    if at_um == TARGET_UM:
+        assert stand.stage.reconnect(0.0, at_um=at_um) == pytest.approx(TARGET_UM, abs=WITHIN_UM)
+        assert stand.arrived() == "arrived"
+        return
+    with pytest.raises(DeviceError, match="was read last, and it says") as caught:
+        stand.stage.reconnect(0.0, at_um=at_um)
+    assert caught.value.code == stand.arrived() == "position-unknown"
+    assert stand.rest() == pytest.approx(TARGET_UM, abs=WITHIN_UM)
+
+
+@pytest.mark.parametrize("make", [proscan, proscan_r_at_the_end])
+@pytest.mark.parametrize("before_um", [0.0, TARGET_UM])
+def test_a_controller_that_says_0_may_have_been_off_and_stays_where_it_is(make, before_um: float):
+    stand = make()
+    stand.stage.move_to(before_um)
+    stand.stage.settle(60.0)
+    stand.wire.plugged = False
+    with pytest.raises(LinkLost):
+        stand.stage.position_um()
+    stand.twin.power_cycle()
+    stand.wire.plugged = True
+    with pytest.raises(DeviceError) as caught:
+        stand.stage.reconnect(0.0, at_um=before_um)
+    assert "It says 0 as after its power was off" in caught.value.message()
+    assert stand.arrived() == "position-unknown"
+
+
+@every_stage
 def test_a_plug_that_stays_out_is_not_waited_for_without_end(make):
     stand = make()
     stand.wire.plugged = False
