@@ -1,7 +1,7 @@
 """What the console costs: Python per frame and panel, idle CPU, from Esc to the stop on the wire, and what a run pays.
 
 Run under a display: ``python benchmarks/bench_console.py``, or with ``xvfb-run``. Times of panels are CPU times of the
-window's thread; that of a run is from its first plane to its last, without and with the console in turns. Prints a
+window's thread; that of a run is from its first plane to its last, with the console and without in turns. Prints a
 table and a line of JSON; ends with 1 when a limit is missed.
 """
 
@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import platform
 import random
+import signal
 import statistics
 import subprocess
 import sys
@@ -44,7 +46,7 @@ RIG = (Path(__file__).parent.parent / "sim" / "default_instrument.toml").read_te
 RECIPE = (
     'schema = 1\nname = "b"\n[output]\nkeep_free_gb = 0.001\n[stack]\ntop_um = 10.0\nbottom_um = -10.0\nplanes = {}\n'
 )
-FRAMES, STOPS, PLANES, ROUNDS = 200, 30, 100, 3
+FRAMES, STOPS, PLANES, ROUNDS = 200, 30, 100, 12
 LARGE_PX, LARGE_FRAMES = 2048, 21
 SETTLED_S, IDLE_S, REST_S, PATIENCE_S = 8.0, 20.0, 0.2, 30.0
 DRAWN = "looking up the live picture"
@@ -116,20 +118,29 @@ def measure(server, folder, stops):
 
 
 def run_rows(server, folder: Path, size: str):
-    """Take stacks alone and beside a console as a user starts it, in turns."""
-    ratios, lost = [], 0
-    with server.client() as instrument:
+    """Take stacks beside a console as a user starts it, and while its process is held still, in turns.
+
+    A pair is taken in one order and the next in the other, so that a machine that grows slower favours neither.
+    """
+    logs, lost = [], 0
+    with server.client() as instrument, started_console(server) as console:
         instrument.command("bench")
+        time.sleep(SETTLED_S)
         for k in range(ROUNDS):
-            alone_s = run_once(instrument, folder / f"{size}-alone-{k}")
-            with started_console(server):
-                time.sleep(SETTLED_S)
-                beside = folder / f"{size}-beside-{k}"
-                ratios.append(run_once(instrument, beside) / alone_s)
-                lost += len(open_run(beside).missing)
+            took_s = {}
+            for beside in (k % 2 == 0, k % 2 == 1):
+                console.send_signal(signal.SIGCONT if beside else signal.SIGSTOP)
+                time.sleep(REST_S)
+                run = folder / f"{size}-{k}-{beside}"
+                took_s[beside] = run_once(instrument, run)
+                lost += len(open_run(run).missing)
+            logs.append(math.log(took_s[True] / took_s[False]))
+        console.send_signal(signal.SIGCONT)
+    ratio, unsure = math.exp(statistics.mean(logs)), math.expm1(statistics.stdev(logs) / math.sqrt(ROUNDS))
     return [
-        (f"{size}: time of a stack beside the console over alone, median of {ROUNDS}", statistics.median(ratios), 1.02),
-        (f"{size}: planes lost beside the console", lost, 0),
+        (f"{size}: time of a stack beside the console over alone, {ROUNDS} pairs", ratio, 1.02),
+        (f"{size}: standard error of that", unsure, None),
+        (f"{size}: planes lost", lost, 0),
     ]
 
 

@@ -35,6 +35,7 @@ park_um = -80.0
 BLOCK = BENCH.replace("[48, 40]", "[160, 128]") + '\n[sim]\nspecimen = "block"\nseed = 11\n'
 HAND = Path(__file__).with_name("hand.py")
 PICTURES = os.environ.get("STEREOTOME_PICTURES")  # where the pictures of the documentation are wanted
+SCALE = float(os.environ.get("STEREOTOME_SCALE", "1"))  # 2: all of them at 200 %
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +78,7 @@ def drive(screen, tmp_path, bench):
 
     def run(function, server, *, scale=1.0):
         folder = tmp_path if PICTURES is None else Path(PICTURES)
-        scale *= 1.0 if PICTURES else 0.5  # everything at its place, on a quarter of the pixels
+        scale *= SCALE if PICTURES else 0.5  # everything at its place, on a quarter of the pixels
         child = subprocess.run(
             [sys.executable, str(HAND), function, str(server.connection), str(folder), str(scale)],
             env={
