@@ -84,7 +84,7 @@ def _evenly(stack: StackSpec, rig: RigSpec, here_um: float) -> tuple[int, int, i
         step_nm, count = steps_in_range(first_um, last_um, step_um(stack.step, rig.optics, rig.camera.pixel_um))
     else:
         count = stack.planes
-        step_nm = round((to_nm(last_um) - to_nm(first_um)) / max(1, count - 1))
+        step_nm = int((to_nm(last_um) - to_nm(first_um)) / max(1, count - 1))  # towards the first: none lies beyond
     return to_nm(first_um), step_nm, count
 
 

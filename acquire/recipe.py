@@ -79,7 +79,8 @@ class StackSpec(Table):
     step : float, "nyquist" or "dof"
         Distance of planes in µm, or computed from the optics.
     planes : int or None
-        Instead of ``step``: that many planes, evenly from end to end.
+        Instead of ``step``: that many planes, evenly over the range: whole nm apart, so that the last may be short of
+        its end by a nm for each plane, and is never beyond.
     direction : str
         ``up`` takes the stack from the bottom to the top.
     return_to : str

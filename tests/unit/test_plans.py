@@ -38,6 +38,15 @@ def plan_of(here_um=0.0, **tables):
     return plan_run(recipe_of(**tables), RIG, here_um)
 
 
+@given(st.integers(-9_000, 0), st.integers(100, 9_000), st.integers(2, 90), st.sampled_from(["up", "down"]))
+def test_planes_fill_a_range_and_none_lies_beyond_it(bottom_nm, range_nm, planes, direction):
+    ends_um = {"bottom_um": bottom_nm / 1000, "top_um": (bottom_nm + range_nm) / 1000}
+    plan = plan_of(stack={**ends_um, "planes": planes, "direction": direction}).stack
+    places_nm = sorted(plan.z_nm(k) for k in range(planes))
+    assert bottom_nm <= places_nm[0] <= bottom_nm + planes
+    assert bottom_nm + range_nm - planes <= places_nm[-1] <= bottom_nm + range_nm
+
+
 def test_around_here_and_offsets_go_where_the_stage_is():
     around = plan_of(12.0, stack={"around_um": 4.0, "step": 2.0})
     assert [plane.z_um for plane in around.stack] == [10.0, 12.0, 14.0]
