@@ -100,7 +100,7 @@ class Host:
         """Return how things stand; asks no device."""
         known = self._z_um == self._z_um
         state, run = self._standing()
-        height_width = " x ".join(str(side) for side in self.live.caps.shape)
+        height, width, *bands = self.live.caps.shape
         return replies.State(
             state=state,
             z_um=self._z_um if known else None,
@@ -108,7 +108,7 @@ class Host:
             live=self.live.running,
             exposure_ms=self.live.exposure_ms,
             ring=self.ring,
-            camera=f"{height_width} {self.live.caps.dtype}",
+            camera=f"{width} x {height}{f' x {bands[0]}' if bands else ''} {self.live.caps.dtype}",
             holder=self._holder,
             stopped=self._stopped,
             run=run,

@@ -393,6 +393,11 @@ def by_keys(hand):
     hand.key(KEY.x)
     hand.key(KEY.comma)
     assert eyes(console) == (swap, angle_deg)
+    hand.key(KEY.f1)
+    hand.wait(lambda: console.shows_keys)
+    hand.shot("console_keys")
+    hand.key(KEY.f1)
+    hand.wait(lambda: not console.shows_keys)
     size = tuple(imgui.get_io().display_size)
     for wanted in ((2560, 1440), size):
         hand.key(KEY.f11)
