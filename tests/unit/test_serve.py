@@ -85,7 +85,7 @@ def test_live_frames_go_through_a_ring_and_stop(instrument):
         assert numbers == sorted(set(numbers))
         assert frames[0].pixels.shape == (80, 96)
         instrument.set_camera(4.0, roi=(8, 8, 32, 16))  # another geometry: another ring, found by itself
-        instrument.wait_for(lambda state: state.camera.startswith("16 x 32"), PATIENCE_S)
+        instrument.wait_for(lambda state: state.camera.startswith("32 x 16"), PATIENCE_S)
         while viewer.newest(PATIENCE_S).pixels.shape != (16, 32):
             pass
     instrument.set_camera(2.0, roi=(0, 0, 96, 80))
