@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING
 
-from devices.errors import DeviceError
+from devices.errors import DeviceError, LinkLost
 from devices.protocols import ComesBack
 from devices.travel import CanZero
 
@@ -46,14 +46,15 @@ class Comeback:
             It does not answer, or is not where it was.
         """
         elsewhere = self._refused is not None and self._refused.code == ELSEWHERE
-        if (lost := self._lost) is not None and not elsewhere:
-            if not may_meet:
-                return None
-            self._meet(lost)
-        z_um = self._stage.position_um()
-        if self._lost is None:
-            self._last_um, self._refused = z_um, None
-        return z_um
+        lost = None if elsewhere else self._lost
+        if lost is not None and not may_meet:
+            return None
+        try:
+            return self._read_um(lost)
+        except DeviceError as error:
+            if isinstance(error, LinkLost) or error.code in (ELSEWHERE, ANOTHER):
+                self._refused = error
+            raise
 
     def check(self) -> None:
         """Raise `DeviceError` while the stage is lost, or came back elsewhere."""
@@ -70,10 +71,11 @@ class Comeback:
         if (lost := self._lost) is not None and isinstance(self._stage, CanZero):
             self._last_um = lost.reconnect(0.0)
 
-    def _meet(self, lost: ComesBack) -> None:
-        try:
+    def _read_um(self, lost: ComesBack | None) -> float:
+        if lost is not None:
             z_um = lost.reconnect(0.0, at_um=self._last_um)
-        except DeviceError as error:
-            self._refused = error if error.code in (ELSEWHERE, ANOTHER) else None
-            raise
-        log.info("z stage: it was out of touch and is back at %+.2f µm, where it was.", z_um)
+            log.info("z stage: it was out of touch and is back at %+.2f µm, where it was.", z_um)
+        z_um = self._stage.position_um()
+        if self._lost is None:
+            self._last_um, self._refused = z_um, None
+        return z_um

@@ -34,6 +34,9 @@ SOURCES = {
     "folder": ("Folder of the images", "images"),
     "opencv": ("Index or device of the camera", "0"),
 }
+NO_DEPTH = (
+    "# bit_depth = 12           # bits of a pixel that mean something: the camera did not answer when this was written"
+)
 RIG = """\
 # Written by `stereotome devices init`. What every key means: docs/instrument.md
 # See whether it is well: stereotome config check FILE; where the stage is: stereotome stage show -i FILE
@@ -43,6 +46,7 @@ name = {name}
 [camera]
 driver = {camera}          # sim, folder, opencv, or another installed driver
 {camera_keys}exposure_ms = 10.0
+{depth}
 # pixel_um = 3.45          # pitch of the pixels at the sensor: without it pictures have no scale
 
 [optics]
@@ -174,6 +178,7 @@ def rig_text(bench: Bench) -> str:
         name=toml_value(bench.name),
         camera=toml_value(bench.camera),
         camera_keys=_camera_keys(bench.camera, bench.source),
+        depth=NO_DEPTH,
         magnification=bench.magnification,
         na=bench.na,
         found=bench.seen,
@@ -243,8 +248,14 @@ def _try(file: Path) -> None:
         _say("  warning: that is outside the limits; correct them in the file before the first move.")
     with open_rig(spec, clock=SystemClock()) as rig:
         caps = rig.camera.caps()
+    note_bit_depth(file, caps.bit_depth)
     _say(f"camera: {caps.name}, {caps.width} x {caps.height} pixels, {caps.bit_depth} bit.")
     _say("Both answer. Next: stereotome run RECIPE.toml -i " + str(file))
+
+
+def note_bit_depth(file: Path, bits: int) -> None:
+    """Put into a file that `rig_text` made how many bits its camera's pixels have, now that it answered."""
+    file.write_text(file.read_text(encoding="utf-8").replace(NO_DEPTH, f"bit_depth = {bits}"), encoding="utf-8")
 
 
 # -- the terminal ----------------------------------------------------------------------------------------------------

@@ -206,7 +206,8 @@ class PolledStage(ABC):
         return self.position_um()
 
     def _check_under_way(self, arrival: Arrival, z_um: float, now: float, deadline: float, timeout_s: float) -> None:
-        where = f"it is at {z_um:+.2f} µm" + (f" of {self._target_um:+.2f} µm" if self._target_um is not None else "")
+        sent = "" if self._target_um is None else f", sent to {self._target_um:+.2f} µm"
+        where = f"it is at {z_um:+.2f} µm{sent}"
         if self._halted.is_set():
             raise StageStalled(f"z stage: the move was halted; {where}.")
         if arrival.stalled(now):

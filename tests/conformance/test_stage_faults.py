@@ -81,7 +81,7 @@ def test_a_blocked_axis_is_told_from_a_slow_one():
     twin.stall_at = 125.0
     stage.move_to(300.0)
     before = clock.now()
-    with pytest.raises(StageStalled, match=r"no progress for 1 s; it is at \+12.50 µm of \+300.00 µm"):
+    with pytest.raises(StageStalled, match=r"no progress for 1 s; it is at \+12.50 µm, sent to \+300.00 µm"):
         stage.settle(60.0)
     assert clock.now() - before < 2.5
 

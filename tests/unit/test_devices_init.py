@@ -76,7 +76,7 @@ def test_options_answer_for_the_dialogue_and_a_file_is_not_replaced_unasked(benc
     done = dialogue("", rig, *options, *optics)
     assert done.code == 0, done.err
     assert "[" not in done.err.replace("[Errno", ""), "nothing was asked"
-    assert load_rig(rig).optics.magnification == 10.0
+    assert (load_rig(rig).optics.magnification, load_rig(rig).camera.bit_depth) == (10.0, 12)
     again = dialogue("", rig, *options, *optics)
     assert again.code == 2
     assert "exists already" in again.err
@@ -113,4 +113,5 @@ def test_a_camera_that_does_not_answer_is_named_and_the_file_stays(bench_of, tmp
     assert done.code == 4
     assert "z stage: it is at +0.00 µm." in done.err
     assert "nothing answers at 127.0.0.1:1" in done.err
-    assert rig.exists()
+    assert "\n# bit_depth = 12 " in rig.read_text()
+    assert load_rig(rig).camera.bit_depth == 8
