@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as notation
+import shutil
 import sys
 from dataclasses import asdict, dataclass
 from io import BytesIO
@@ -17,8 +18,10 @@ from acquire.ome_zarr import FocalArray
 from acquire.progress import progress
 from devices.clock import SystemClock
 from devices.errors import InputError
-from processing.deblur_tiles import Deblurring, Restored, deblur
-from processing.focus import plane_noise
+from processing.block_options import IN_MEMORY, WORK, Blocks
+from processing.block_source import Source
+from processing.deblur_known import Known, known_of
+from processing.deblur_tiles import NAME, TITLE, Course, Deblurring, deblur
 from processing.memory import check_memory, free_bytes
 from processing.outputs import about_stack, peak_memory_mb, versions, write_durably
 from processing.pictures import png_bytes
@@ -26,9 +29,19 @@ from processing.psf import Optics, checked_psf, from_beads, modelled, support
 from processing.readers import reading
 from processing.result_folder import check_results, json_bytes, write_results
 from processing.stack import Stack, open_stack
-from processing.volume_files import middle_cuts, publish, side_by_side, volume_names, write_volume
+from processing.volume_files import (
+    MiddleCuts,
+    middle_cuts,
+    publish,
+    pyramid,
+    settle_volume,
+    side_by_side,
+    volume_names,
+)
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     Array = NDArray[Any]
@@ -36,14 +49,12 @@ if TYPE_CHECKING:
 
 Switch = Parameter(negative="")
 Method = Literal["richardson-lucy", "wiener", "van-cittert"]
-NAME = "deblurred"
 FILES = (*volume_names(NAME), "psf.tif", "deblurred.png", "psf.png", "report.json")
 PSF_FILES = ("psf.tif", "psf.png", "report.json")
 EVEN = 0.2  # of the step: planes further from their places are not evenly spaced; the depth of focus hides less
 SATURATED = 1e-3
 UNEXPLAINED = 3.0  # times the noise
 FEWEST_PLANES = 3
-GB = 1e9
 
 
 def deblur_command(
@@ -63,7 +74,7 @@ def deblur_command(
     step_um: float | None = None,
     channel: int | None = None,
     time: int | None = None,
-    memory_gb: float | None = None,
+    blocks: Blocks = IN_MEMORY,
     overwrite: Annotated[bool, Switch] = False,
     json: Annotated[bool, Switch] = False,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative="")] = False,
@@ -96,8 +107,6 @@ def deblur_command(
         Channel, or series of images, to take when there are several; counted from 0.
     time
         Time point to take when there are several; counted from 0.
-    memory_gb
-        For the work on one tile; a third of what is free when left out.
     overwrite
         Replace results that are in the folder.
     json
@@ -106,17 +115,23 @@ def deblur_command(
         Show no progress and no notes.
     """
     check_results(output, FILES, overwrite=overwrite)
-    opened = open_stack(stack, step_um=step_um, channel=channel, time=time)
+    source = Source(stack, step_um, channel, time)
+    opened = source.stack
     spacing = even_spacing(opened, pixel_um)
     if psf:
         spread, origin = read_psf(psf, spacing), {"file": str(psf)}
     else:
         optics = optics_of(na, wavelength_um, index, specimen_index, depth_um)
         spread, origin = modelled(optics, spacing, support(optics, spacing, len(opened))), asdict(optics)
-    work = Work(opened, spacing, spread, method, steps, background, memory_gb)
-    restored, report = work.done(quiet=quiet)
+    work = Work(source, spacing, spread, method, steps, background)
+    made: Array | Path
+    if blocks.wanted:
+        made, report = work.by_blocks(blocks, output, overwrite=overwrite, quiet=quiet)
+    else:
+        made, report = work.in_memory(quiet=quiet)
     report |= {"psf": {**origin, "shape": spread.shape}}
-    work.write(output, restored, report)
+    work.write(output, made, report)
+    shutil.rmtree(output / WORK, ignore_errors=True)
     for note in [] if quiet else report["notes"]:
         sys.stderr.write(f"note: {note}\n")
     sys.stdout.write(json_bytes(report).decode() if json else summary(report, output))
@@ -192,9 +207,8 @@ def read_psf(path: Path, spacing: Spacing) -> NDArray[np.float32]:
     return checked_psf(psf)
 
 
-def blank_planes(volume: Array, reach: int) -> list[str]:
+def blank_planes(flat: Sequence[int], reach: int) -> list[str]:
     """Name the planes that show a single grey value, which no camera takes: their light is missing around them, too."""
-    flat = [k for k, plane in enumerate(volume) if not np.ptp(plane)]
     if not flat:
         return []
     which = f"planes {', '.join(map(str, flat))} are" if len(flat) > 1 else f"plane {flat[0]} is"
@@ -205,83 +219,112 @@ def blank_planes(volume: Array, reach: int) -> list[str]:
 class Work:
     """A stack to be deblurred and how."""
 
-    stack: Stack
+    source: Source
     spacing: Spacing
     psf: NDArray[np.float32]
     method: Method
     steps: int
     background: float | None
-    memory_gb: float | None
 
-    def done(self, *, quiet: bool) -> tuple[Restored, dict[str, Any]]:
-        """Deblur the stack; returns the report, too."""
-        clock = SystemClock()
-        begin = clock.now()
+    @property
+    def stack(self) -> Stack:
+        """The stack, opened."""
+        return self.source.stack
+
+    @property
+    def layout(self) -> FocalArray:
+        """Of the volume that is made."""
+        stack = self.stack
+        assert stack.z_um is not None
+        step = float(stack.z_um[-1] - stack.z_um[0]) / (len(stack) - 1)
+        first = float(stack.z_um[0])
+        return pyramid(FocalArray(len(stack), stack.shape, str(stack.dtype), first, step, self.spacing[1]))
+
+    def in_memory(self, *, quiet: bool) -> tuple[Array, dict[str, Any]]:
+        """Deblur the stack as a whole; returns the volume and the report."""
+        begin = SystemClock().now()
         volume = read_volume(self.stack)
-        how, notes = self._how(volume)
-        memory = GB * self.memory_gb if self.memory_gb is not None else free_bytes() / 3
+        known = known_of(volume)
+        how = self.settled(known)
         with progress("deblurring", 1000, quiet=quiet) as show:
-            restored = deblur(volume, self.psf, how, memory=memory, tell=lambda share: show(round(1000 * share)))
-        notes += misfit(restored)
-        report = {
+            tell = lambda share: show(round(1000 * share))  # noqa: E731
+            restored = deblur(volume, self.psf, how, memory=free_bytes() / 3, tell=tell)
+        return restored.volume, self._report(how, known, restored.course, begin)
+
+    def by_blocks(self, blocks: Blocks, output: Path, *, overwrite: bool, quiet: bool) -> tuple[Path, dict[str, Any]]:
+        """Deblur the stack tile by tile; returns where the image is, and the report."""
+        from processing.deblur_blocks import deblur_by_blocks  # noqa: PLC0415  dask takes a second
+
+        begin = SystemClock().now()
+        told = {"method": self.method, "steps": self.steps, "background": self.background, "spacing": self.spacing}
+        how = (self.source, self.psf, self.settled, self.layout, blocks, output)
+        image, settled, known, course = deblur_by_blocks(*how, told=told, overwrite=overwrite, quiet=quiet)
+        return image, {**self._report(settled, known, course, begin), "blocks": {"memory": blocks.memory}}
+
+    def settled(self, known: Known) -> Deblurring:
+        """Return how the stack is deblurred, once it is known.
+
+        Raises
+        ------
+        InputError
+            ``deblur-blank``: it shows nothing; ``deblur-optics``: no steps.
+        """
+        if known.low == known.high:
+            raise InputError(
+                f"{self.stack.source} is {known.low} everywhere.",
+                fix="give a stack that shows something.",
+                code="deblur-blank",
+            )
+        if self.steps < 1:
+            raise InputError(f"{self.steps} steps are none.", fix="--steps 30", code="deblur-optics")
+        background = known.background if self.background is None else self.background
+        return Deblurring(self.method, known.noise, background, self.steps, brightest=float(known.high))
+
+    def _report(self, how: Deblurring, known: Known, course: Course, begin: float) -> dict[str, Any]:
+        share = known.saturated
+        notes = [f"{share:.1%} of the voxels are saturated: they and their surroundings come out too dark."]
+        notes = [*(notes if share > SATURATED else []), *blank_planes(known.flat, len(self.psf) // 2), *misfit(course)]
+        return {
             "format": "stereotome-deblur",
             "version": 1,
             **about_stack(self.stack),
             "notes": [*self.stack.notes, *notes],
             "spacing_um": self.spacing,
             **asdict(how),
-            "steps": restored.first.steps,
-            "stopped": restored.first.stopped,
-            "residual_over_noise": [round(r, 4) for r in restored.first.residual],
-            "tiles": restored.tiles,
-            "halo_px": restored.halo_px,
-            "seconds": round(clock.now() - begin, 3),
+            "steps": course.steps,
+            "stopped": course.stopped,
+            "residual_over_noise": [round(r, 4) for r in course.residual],
+            "tiles": course.tiles,
+            "halo_px": course.halo_px,
+            "seconds": round(SystemClock().now() - begin, 3),
             "peak_memory_mb": round(peak_memory_mb(), 1),
             "versions": versions(),
             "files": list(FILES),
         }
-        return restored, report
 
-    def _how(self, volume: Array) -> tuple[Deblurring, list[str]]:
-        low, top = int(volume.min()), np.iinfo(volume.dtype).max
-        if low == int(volume.max()):
-            raise InputError(
-                f"{self.stack.source} is {low} everywhere.",
-                fix="give a stack that shows something.",
-                code="deblur-blank",
-            )
-        if self.steps < 1:
-            raise InputError(f"{self.steps} steps are none.", fix="--steps 30", code="deblur-optics")
-        background = float(np.percentile(volume[:, ::4, ::4], 1)) if self.background is None else self.background
-        noise = min((plane_noise(plane) for plane in volume if np.ptp(plane)), default=plane_noise(volume[0]))
-        share = float(np.mean(volume >= top))
-        notes = [f"{share:.1%} of the voxels are saturated: they and their surroundings come out too dark."]
-        notes = [*(notes if share > SATURATED else []), *blank_planes(volume, len(self.psf) // 2)]
-        return Deblurring(self.method, noise, background, self.steps), notes
-
-    def write(self, folder: Path, restored: Restored, report: dict[str, Any]) -> None:
-        """Write all results."""
-        stack = self.stack
-        assert stack.z_um is not None
-        step = float(stack.z_um[-1] - stack.z_um[0]) / (len(stack) - 1)
-        layout = FocalArray(len(stack), stack.shape, str(stack.dtype), float(stack.z_um[0]), step, self.spacing[1])
-        deep = self.spacing[0] / self.spacing[1]
-        before = np.stack([stack[k] for k in range(len(stack))])
-        words = f"left as taken, right {self.method}, {restored.first.steps} steps; below x-z, {deep:.3g} px a plane"
+    def write(self, folder: Path, made: Array | Path, report: dict[str, Any]) -> None:
+        """Write all results; of an image that is there already, all but that."""
+        stack, deep = self.stack, self.spacing[0] / self.spacing[1]
+        before, after = MiddleCuts(len(stack)), MiddleCuts(len(stack))
+        words = f"left as taken, right {self.method}, {report['steps']} steps; below x-z, {deep:.3g} px a plane"
 
         def fill(part: Path) -> None:
-            write_volume(part, NAME, "deblurred", layout, restored.volume)
+            settle_volume(part, NAME, TITLE, self.layout, made, after.seen)
+            for _ in before.seen(stack[k] for k in range(len(stack))):
+                pass
             write_durably(part / "psf.tif", psf_tiff(self.psf, self.spacing))
             write_durably(part / "psf.png", png_bytes(psf_picture(self.psf, deep)))
-            write_durably(part / "deblurred.png", png_bytes(side_by_side(before, restored.volume, deep, words)))
+            write_durably(
+                part / "deblurred.png", png_bytes(side_by_side(before.picture(deep), after.picture(deep), words))
+            )
             write_durably(part / "report.json", json_bytes(report))
 
         publish(folder, fill)
 
 
-def misfit(restored: Restored) -> list[str]:
+def misfit(course: Course) -> list[str]:
     """Tell of a stack that the point spread function does not explain."""
-    left = restored.first.residual[-1] if restored.first.residual else 1.0
+    left = course.residual[-1] if course.residual else 1.0
     if left < UNEXPLAINED:
         return []
     words = (
@@ -294,7 +337,7 @@ def misfit(restored: Restored) -> list[str]:
 def read_volume(stack: Stack) -> Array:
     """Read all planes; refuse what memory cannot hold twice."""
     needed = 2 * len(stack) * int(np.prod(stack.shape)) * stack.dtype.itemsize
-    check_memory(needed, f"{stack.source}, before and after,", "bin it first: stereotome process resample --bin 2")
+    check_memory(needed, f"{stack.source}, before and after,", "go tile by tile: --memory 2GB")
     return np.stack([stack[k] for k in range(len(stack))])
 
 

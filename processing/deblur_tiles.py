@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from processing.tiles import Tile
-
     Tell = Callable[[int], None]
 
     Array = NDArray[Any]
@@ -25,6 +23,7 @@ if TYPE_CHECKING:
 Method = Literal["richardson-lucy", "wiener", "van-cittert"]
 BYTES_PER_VOXEL = 64  # of a padded tile: fields of 4 bytes and their transforms
 SMALLEST_TILE = 32
+NAME, TITLE = "deblurred", "deblurred"  # of the volume in files
 
 
 @dataclass(frozen=True)
@@ -40,6 +39,8 @@ class Deblurring:
         Iterations at most.
     neighbours : int
         Planes to either side that Van Cittert's rule takes into account.
+    brightest : float, optional
+        The largest grey level of all, so that tiles go alike.
     """
 
     method: Method
@@ -47,6 +48,7 @@ class Deblurring:
     background: float
     most_steps: int = 30
     neighbours: int = 2
+    brightest: float | None = None
 
     def restored(
         self, part: Array, psf: Array, *, steps: int | None, noise_share: float, tell: Tell | None = None
@@ -63,30 +65,44 @@ class Deblurring:
             light = part.astype(np.float32) - np.float32(self.background)
             return Deblurred(wiener(light, psf, noise_share=noise_share), 1, "most", ())
         if self.method == "van-cittert":
-            return van_cittert(part, psf, neighbours=self.neighbours, **options)
+            return van_cittert(part, psf, neighbours=self.neighbours, brightest=self.brightest, **options)
         return richardson_lucy(part, psf, **options)
 
 
 @dataclass(frozen=True)
-class Restored:
-    """A whole volume restored.
+class Course:
+    """How a restoration went.
 
     Attributes
     ----------
-    volume : array like the input
-        The background is in it again; rounded, and kept within the type.
-    first : Deblurred
-        The tile with the most contrast, whose stop decided the number of steps of all.
+    steps, stopped, residual
+        As in `Deblurred`, of the tile with the most contrast, whose stop decided the number of steps of all.
     tiles : int
         How many there were.
     halo_px : tuple of int
         By how much each was larger than what was kept of it: planes, rows, columns.
     """
 
-    volume: Array
-    first: Deblurred
+    steps: int
+    stopped: str
+    residual: tuple[float, ...]
     tiles: int
     halo_px: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Restored:
+    """A whole volume restored, and how that went.
+
+    Attributes
+    ----------
+    volume : array like the input
+        The background is in it again; rounded, and kept within the type.
+    course : Course
+    """
+
+    volume: Array
+    course: Course
 
 
 def deblur(
@@ -121,23 +137,27 @@ def deblur(
         return None if tell is None else lambda step: tell((done + step / how.most_steps) / len(cuts))
 
     first = how.restored(volume[busiest.read], psf, steps=None, noise_share=share, tell=part_told(0))
-    _keep(result, busiest, first.volume + np.float32(how.background))
+    result[busiest.write] = as_grey(first.volume[busiest.inner], how.background, result.dtype)
     for done, cut in enumerate((c for c in cuts if c is not busiest), 1):
         part = how.restored(volume[cut.read], psf, steps=first.steps, noise_share=share, tell=part_told(done))
-        _keep(result, cut, part.volume + np.float32(how.background))
+        result[cut.write] = as_grey(part.volume[cut.inner], how.background, result.dtype)
     if tell:
         tell(1.0)
-    return Restored(result, first, len(cuts), halo)
+    return Restored(result, Course(first.steps, first.stopped, first.residual, len(cuts), halo))
 
 
-def _keep(result: Array, cut: Tile, part: Array) -> None:
-    top = np.iinfo(result.dtype).max
-    result[cut.write] = np.clip(np.rint(part[cut.inner]), 0, top).astype(result.dtype)
+def as_grey(light: Array, background: float, dtype: np.dtype[Any]) -> Array:
+    """Return restored light as the camera would have it: the background in it again, rounded, within the type."""
+    return np.clip(np.rint(light + np.float32(background)), 0, np.iinfo(dtype).max).astype(dtype)
 
 
 def halo_px(method: Method, psf: tuple[int, ...]) -> tuple[int, int, int]:
-    """By how much a tile must be larger than what is kept; a linear inverse reaches further than the blur itself."""
-    rows, columns = (2 * n if method == "wiener" else n // 2 for n in psf[1:])
+    """By how much a tile must be larger than what is kept.
+
+    Light from beyond a tile is estimated; what that gets wrong fades within the width of the blur, to a thousandth of
+    the brightest. A linear inverse looks further, and its tiles differ from the whole whatever is around them.
+    """
+    rows, columns = (2 * n if method == "wiener" else n for n in psf[1:])
     return 0, rows, columns
 
 
@@ -149,17 +169,28 @@ def tile_side(shape: tuple[int, ...], psf: tuple[int, ...], halo: int, memory: f
     InputError
         ``memory``: not even a tile of 32 pixels.
     """
-    planes, around = shape[0] + psf[0], 2 * halo + max(psf[1:])
-    room = int(np.sqrt(memory / BYTES_PER_VOXEL / planes)) - around
+    sides = tile_sides(shape)
+    for side in sides:
+        if tile_bytes(shape, psf, halo, side) <= memory:
+            return side
+    least = tile_bytes(shape, psf, halo, sides[-1])
+    raise InputError(
+        f"deblurring {shape[0]} planes needs {least / 1e9:.2f} GB of memory for its smallest tile; "
+        f"{memory / 1e9:.2f} GB are allowed.",
+        fix=("allow more: --memory 8GB", "a smaller point spread function, or fewer planes"),
+        code="memory",
+    )
+
+
+def tile_sides(shape: tuple[int, ...]) -> list[int]:
+    """Return the sides a tile may have, the largest first: the whole, its half, its third, and on."""
     side = max(shape[1:])
-    if room >= side:
-        return side
-    if room < SMALLEST_TILE:
-        least = BYTES_PER_VOXEL * planes * (SMALLEST_TILE + around) ** 2
-        raise InputError(
-            f"deblurring {planes} planes needs {least / 1e9:.2f} GB of memory for its smallest tile; "
-            f"{memory / 1e9:.2f} GB are allowed.",
-            fix=("allow more: --memory-gb G", "a smaller point spread function, or fewer planes"),
-            code="memory",
-        )
-    return -(-side // -(-side // room))
+    return [-(-side // count) for count in range(1, max(1, side // SMALLEST_TILE) + 1)]
+
+
+def tile_bytes(shape: tuple[int, ...], psf: tuple[int, ...], halo: int, side: int) -> float:
+    """Return about what the work on one tile takes."""
+    voxels = shape[0] + psf[0]
+    for length, spread in zip(shape[1:], psf[1:], strict=True):
+        voxels *= min(length, side + 2 * halo) + spread
+    return float(BYTES_PER_VOXEL * voxels)

@@ -45,7 +45,12 @@ class Marked:
 
     def found(self) -> list[dict[str, Any]]:
         """Return what every part said, in order."""
-        return [json.loads(self.mark(k).read_text(encoding="utf-8")) for k in range(len(self.places))]
+        return [self.said(k) for k in range(len(self.places))]
+
+    def said(self, k: int) -> dict[str, Any]:
+        """Return what a part said that is done."""
+        said: dict[str, Any] = json.loads(self.mark(k).read_text(encoding="utf-8"))
+        return said
 
     def make_ready(self) -> None:
         """Make what the parts write into; what is left of it is kept with its marks."""

@@ -22,13 +22,11 @@ from processing.pictures import png_bytes
 from processing.resample import NAME, TITLE, CubicPlanes, choose_method, default_side, mean_step
 from processing.result_folder import check_results, json_bytes
 from processing.volume_files import (
-    cuts_picture,
+    MiddleCuts,
     publish,
     pyramid,
-    stored_planes,
+    settle_volume,
     volume_names,
-    write_tiff,
-    write_volume,
 )
 
 if TYPE_CHECKING:
@@ -107,7 +105,7 @@ def resample(
         "pixel_um": planes.pixel_um,
         "voxels": [len(planes), *planes.shape],
     }
-    image = None
+    image, made = None, (planes[k] for k in range(len(planes)))
     if blocks.wanted:
         from processing.resample_blocks import resampled_by_blocks  # noqa: PLC0415  dask takes a second
 
@@ -117,7 +115,7 @@ def resample(
         image = resampled_by_blocks(*how, overwrite=overwrite, quiet=quiet)
         report["blocks"] = {"memory": blocks.memory}
     with progress("writing" if image else "resampling", len(planes), quiet=quiet) as show:
-        publish(output, lambda part: write_all(part, image or planes, layout, report, show, begin))
+        publish(output, lambda part: write_all(part, image or made, layout, report, show, begin))
     shutil.rmtree(output / WORK, ignore_errors=True)
     for note in [] if quiet else report["notes"]:
         sys.stderr.write(f"note: {note}\n")
@@ -156,26 +154,18 @@ def gaps(z_um: NDArray[np.float64]) -> list[str]:
 
 
 def write_all(
-    part: Path, made: CubicPlanes | Path, layout: FocalArray, report: dict[str, Any], show: Show, begin: float
+    part: Path, made: Iterable[Array] | Path, layout: FocalArray, report: dict[str, Any], show: Show, begin: float
 ) -> None:
     """Write the volume, its picture, and the report; of an image that is there already, all but that."""
-    rows: list[Array] = []
-    middle: list[Array] = []
+    cuts = MiddleCuts(layout.planned)
 
-    def seen(planes: Iterable[Array]) -> Iterator[Array]:
-        for k, plane in enumerate(planes):
-            rows.append(plane[plane.shape[0] // 2])
-            middle[:] = [plane] if k == layout.planned // 2 else middle
+    def told(planes: Iterable[Array]) -> Iterator[Array]:
+        for k, plane in enumerate(cuts.seen(planes)):
             yield plane
             show(k + 1)
 
-    if isinstance(made, CubicPlanes):
-        write_volume(part, NAME, TITLE, layout, seen(made[k] for k in range(len(made))))
-    else:
-        image, tiff = (part / name for name in volume_names(NAME))
-        made.replace(image)
-        write_tiff(tiff, TITLE, layout, seen(stored_planes(image)))
-    write_durably(part / "resampled.png", png_bytes(cuts_picture(middle[0], np.stack(rows))))
+    settle_volume(part, NAME, TITLE, layout, made, told)
+    write_durably(part / "resampled.png", png_bytes(cuts.picture()))
     took = {"seconds": round(SystemClock().now() - begin, 3), "peak_memory_mb": round(peak_memory_mb(), 1)}
     report |= {**took, "versions": versions(), "files": list(FILES)}
     write_durably(part / "report.json", json_bytes(report))

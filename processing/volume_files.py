@@ -141,6 +141,31 @@ def write_volume(folder: Path, name: str, title: str, layout: FocalArray, planes
     write_tiff(folder / tiff_name, title, layout, copied())
 
 
+def settle_volume(
+    folder: Path,
+    name: str,
+    title: str,
+    layout: FocalArray,
+    made: Path | Iterable[Array],
+    seen: Callable[[Iterable[Array]], Iterator[Array]],
+) -> None:
+    """Write a volume as both kinds, or move there the OME-Zarr image that blocks have made and write the other kind.
+
+    Parameters
+    ----------
+    made : Path or iterable of arrays
+        The image, or the planes.
+    seen : callable
+        Every plane passes through it.
+    """
+    if isinstance(made, Path):
+        image, tiff = (folder / there for there in volume_names(name))
+        made.replace(image)
+        write_tiff(tiff, title, layout, seen(stored_planes(image)))
+    else:
+        write_volume(folder, name, title, layout, seen(made))
+
+
 def write_tiff(path: Path, title: str, layout: FocalArray, planes: Iterator[Array]) -> None:
     """Write the planes of a volume as OME-TIFF, each asked for once; arguments as for `write_volume`."""
     with tifffile.TiffWriter(path, bigtiff=True, ome=True) as tiff:
@@ -169,6 +194,24 @@ def middle_cuts(volume: Array, deep: float) -> Array:
     return cuts_picture(volume[volume.shape[0] // 2], volume[:, volume.shape[1] // 2], deep)
 
 
+class MiddleCuts:
+    """The middle cuts of a volume whose planes come one by one."""
+
+    def __init__(self, count: int) -> None:
+        self._middle, self._rows, self._plane = count // 2, list[Any](), np.empty(0)
+
+    def seen(self, planes: Iterable[Array]) -> Iterator[Array]:
+        """Hand the planes on, and keep what is shown of them."""
+        for k, plane in enumerate(planes):
+            self._rows.append(np.array(plane[plane.shape[0] // 2]))
+            self._plane = plane if k == self._middle else self._plane
+            yield plane
+
+    def picture(self, deep: float = 1.0) -> Array:
+        """Show them, as `middle_cuts` of the whole volume does."""
+        return cuts_picture(self._plane, np.stack(self._rows), deep)
+
+
 def cuts_picture(plane: Array, cut: Array, deep: float = 1.0) -> Array:
     """Show a plane over an x-z cut."""
     top, shown = (label_colours(p) if p.dtype == np.uint32 else preview(p) for p in (plane, cut))
@@ -185,9 +228,8 @@ def label_colours(labels: Array) -> Array:
     return np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB))
 
 
-def side_by_side(before: Array, after: Array, deep: float, words: str) -> Array:
-    """Show two volumes' middle cuts beside each other, with words below."""
-    left, right = middle_cuts(before, deep), middle_cuts(after, deep)
+def side_by_side(left: Array, right: Array, words: str) -> Array:
+    """Show two pictures beside each other, with words below."""
     height = max(left.shape[0], right.shape[0])
     left, right = (
         np.pad(a, [(0, height - a.shape[0]), (0, GAP_PX), *[(0, 0)] * (a.ndim - 2)], constant_values=255)

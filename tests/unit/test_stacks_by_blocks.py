@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,13 +15,21 @@ import zarr
 from scipy import ndimage
 
 from devices.cli import run
-from processing import blockwise, focus_blocks, outputs, resample_blocks
+from processing import (
+    block_runners,
+    blockwise,
+    deblur_blocks,
+    deblur_tiles,
+    focus_blocks,
+    marked,
+    outputs,
+    resample_blocks,
+)
 from processing.pictures import preview
 from processing.pieces import percentiles, ranked
+from processing.psf import Optics, modelled
 from processing.stack import open_stack
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from sim.scenes.beads import cells
 
 RNG = np.random.default_rng(71)
 
@@ -168,6 +178,98 @@ def test_percentiles_are_those_of_all_values(count: int) -> None:
     at = [0, 1, 37.5, 50, 99, 100]
     np.testing.assert_allclose(percentiles(lambda: chunks, at), np.percentile(values, at), rtol=1e-6)
     assert ranked(lambda: chunks, range) == sorted(values)
+
+
+# -- deblurring
+
+LENS = ["--na", "1", "--wavelength-um", "0.525", "--index", "1.33", "--pixel-um", "0.12", "--step-um", "0.3"]
+
+
+@pytest.fixture
+def cells_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A blurred stack, to be cut into six tiles whether in memory or by blocks; one plane of it is lost."""
+    psf = modelled(Optics(1.0, 0.525, 1.33), (0.3, 0.12, 0.12), (5, 9, 9))
+    stack = cells(3, psf, (11, 50, 70), level=2000).seen
+    stack[8] = 100
+    np.save(tmp_path / "cells.npy", stack)
+    tifffile.imwrite(tmp_path / "psf.tif", psf, photometric="minisblack")
+    monkeypatch.setattr(deblur_tiles, "tile_side", lambda *_: 25)
+    monkeypatch.setattr(deblur_blocks, "tile_sides", lambda _: [25])
+    return tmp_path / "cells.npy"
+
+
+def deblurred(data: Path, out: Path, *words: str) -> int:
+    return process("deblur", data, out, *LENS, "--psf", str(data.parent / "psf.tif"), "--steps", "6", *words)
+
+
+@pytest.mark.parametrize("method", ["richardson-lucy", "van-cittert"])
+def test_tiles_are_deblurred_the_same_by_blocks(method: str, cells_seen: Path) -> None:
+    folder = cells_seen.parent
+    assert deblurred(cells_seen, folder / "memory", "--method", method) == 0
+    assert deblurred(cells_seen, folder / "blocks", "--method", method, "--memory", "100GB") == 0
+    one, other = report(folder / "memory"), report(folder / "blocks")
+    assert other.pop("blocks") == {"memory": "100GB"}
+    for numbers in (one, other):
+        for name in ("seconds", "peak_memory_mb"):
+            numbers.pop(name)
+    assert one == other
+    assert one["tiles"] == 6
+    assert any("plane 8 is one grey value" in note for note in one["notes"])
+    same_files(folder / "memory", folder / "blocks")
+
+
+def test_deblurring_that_was_left_goes_on(cells_seen: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr(deblur_blocks, "at_once", lambda _: 1)
+    folder, done = cells_seen.parent, []
+    honest = deblur_blocks.Restoring.do
+
+    def do(self, k):
+        if len(done) == 3:
+            raise KeyboardInterrupt
+        done.append(k)
+        return honest(self, k)
+
+    monkeypatch.setattr(deblur_blocks.Restoring, "do", do)
+    assert deblurred(cells_seen, folder / "out", "--memory", "100GB") == 130
+    assert deblurred(cells_seen, folder / "out", "--memory", "100GB", "--background", "3", "--resume") == 2
+    assert "different: background" in capsys.readouterr().err
+    monkeypatch.setattr(deblur_blocks.Restoring, "do", lambda self, k: done.append(k) or honest(self, k))
+    assert deblurred(cells_seen, folder / "out", "--memory", "100GB", "--resume") == 0
+    assert sorted(done) == list(range(6))
+    assert deblurred(cells_seen, folder / "memory") == 0
+    same_files(folder / "memory", folder / "out")
+
+
+@pytest.mark.parametrize(
+    ("words", "code"), [(["--memory", "1GB", "--method", "wiener"], "blockwise"), (["--memory", "1MB"], "memory")]
+)
+def test_deblurring_that_cannot_go_tile_by_tile_is_told(words: list[str], code: str, cells_seen: Path, capsys) -> None:
+    assert deblurred(cells_seen, cells_seen.parent / "out", *words) == 2
+    assert capsys.readouterr().err.count(f"error[{code}]") == 1
+
+
+def _kill_the_third(work, k):
+    """Runs in a worker: the one that comes to tile 3 dies before it is marked, as if its power was cut."""
+    once = Path(os.environ["KILL_ONCE"])
+    if isinstance(work, deblur_blocks.Restoring) and k == 3 and not once.exists():
+        once.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return marked.run_part(work, k)
+
+
+@pytest.mark.filterwarnings("ignore")  # of the cluster, about ports and workers that went
+def test_workers_of_which_one_is_killed_deblur_the_same(cells_seen: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from distributed import LocalCluster
+
+    folder = cells_seen.parent
+    monkeypatch.setenv("KILL_ONCE", str(folder / "killed"))
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
+    monkeypatch.setattr(block_runners, "run_part", _kill_the_third)
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster:
+        assert deblurred(cells_seen, folder / "out", "--scheduler", cluster.scheduler_address) == 0
+    assert (folder / "killed").exists()
+    assert deblurred(cells_seen, folder / "memory") == 0
+    same_files(folder / "memory", folder / "out")
 
 
 # -- cubic voxels
