@@ -7,7 +7,8 @@ and the knife's own sensors are the drivers' business and not repeated here.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from devices.errors import Unsafe
 from devices.feed_values import KnifeState
@@ -27,6 +28,9 @@ REST_S = 0.02
 CLEAR_TWICE_S = 0.05
 MOVES_THE_STAGE = {"load_sequence", "start_sequence"}
 MOVES_THE_FEED = {"approach_to", "jog"}  # homing goes away from knife and objective
+
+
+G = TypeVar("G", bound="GuardedStage | GuardedFeed")
 
 
 class MotionLease:
@@ -216,8 +220,19 @@ def guarded(rig: Rig, clock: Clock) -> Rig:
         return rig
     park_um = rig.spec.stage.z.park_um
     arbiter = Arbiter(rig.stage, rig.feed, None if park_um is None else to_nm(park_um), clock)
-    feed = None if rig.feed is None else GuardedFeed(rig.feed, arbiter)
-    return Rig(rig.spec, GuardedStage(rig.stage, arbiter), rig.camera, feed, rig.glasses, open_camera=rig.reopen_camera)
+    stage = _showing(GuardedStage, rig.stage)(rig.stage, arbiter)
+    feed = None if rig.feed is None else _showing(GuardedFeed, rig.feed)(rig.feed, arbiter)
+    return Rig(rig.spec, stage, rig.camera, feed, rig.glasses, open_camera=rig.reopen_camera)
+
+
+def _showing(guard: type[G], device: object) -> type[G]:
+    """Return a guard whose class has what only this device can do: from Python 3.12 on a protocol looks there alone."""
+    only = [name for name in dir(device) if not name.startswith("_") and not hasattr(guard, name)]
+    return type(guard.__name__, (guard,), {name: property(partial(_passed_on, name=name)) for name in only})
+
+
+def _passed_on(guard: Any, name: str) -> Any:
+    return guard.__getattr__(name)
 
 
 def lease_of(stage: Stage) -> MotionLease:
