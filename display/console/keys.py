@@ -125,6 +125,7 @@ BINDINGS = (
 )
 
 ALSO = (
+    ("P, or Ctrl and click, in the review", "a point: lengths and angles along all of them, in µm"),
     ("Tab, arrows", "from field to field of a panel; Enter presses what is framed"),
     ("Alt", "to the bar at the top, and back"),
     ("wheel over the picture", "stage up and down by the step; with Shift ten steps"),

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from devices.protocols import Clock
     from devices.rig import RigSpec
     from display.console.bench import Bench
+    from display.console.drawn import Line
     from display.console.eyes import Eyes
     from display.console.journal import Journal
-    from display.console.review import Line
     from display.console.settings import Settings
     from display.console.setup import Setup
     from display.console.tour import Tour

@@ -6,7 +6,7 @@ The thread has its own OpenGL context. Of what is wished for, only the newest is
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,14 +16,13 @@ import tifffile
 from acquire.depths import depths_nm
 from acquire.store import is_run, open_run
 from devices.errors import InputError, StereotomeError
+from display.console.drawn import FLAT, Drawn, Wish
 from display.controls import Shown
 from display.light import encoded
 from display.load import limits_of, load_volume
 from display.modes import all_modes
 from display.relief import Relief, ReliefLook
-from display.relief_plots import profile
-from display.resolve import fitting_pixel_um
-from display.scene import Band, Layer, Light, Scene, SliceLook, Transfer, Volume
+from display.scene import Band, Layer, Scene, SliceLook, Transfer, Volume
 from display.stereo import Stereo
 from processing.heights import read_heights
 from processing.outputs import write_durably
@@ -39,51 +38,20 @@ if TYPE_CHECKING:
     from display.console.flipping import Flipping
     from display.console.journal import Journal
     from display.movie import Sweep
-    from display.relief_plots import Profile
     from display.stereo import Mode
+    from processing.heights import Heights
 
     Picture = NDArray[np.uint8]
 
-FLAT = ("extended focus", "range", "relief")
 RESULTS = "focus"
 PAGE_FLIP: Mode = "page-flip"
 MOVIE_HZ = 25.0
-Line = tuple[tuple[int, int], tuple[int, int]]
 RELIEF_VIEW = (25.0, -50.0)
 
 
 def kinds() -> tuple[str, ...]:
     """Return the names of all kinds of picture of a run."""
     return (*FLAT, *(name for name, mode in all_modes().items() if mode.data is Volume))
-
-
-@dataclass(frozen=True)
-class Wish:
-    """What is to be drawn.
-
-    Attributes
-    ----------
-    folder : str
-        The run, or anything else `display.load.load_volume` reads.
-    shown : Shown
-        Kind of picture, viewer, stereo, plane.
-    size : (width, height)
-        In pixels.
-    colours : str
-        Colour table; empty for the data's own.
-    points : tuple of (value, opacity)
-        Opacity against value, for translucent volumes; empty for the usual.
-    threshold : float or None
-        Value of a surface.
-    """
-
-    folder: str
-    shown: Shown
-    size: tuple[int, int]
-    colours: str = ""
-    points: tuple[tuple[float, float], ...] = ()
-    threshold: float | None = None
-    light: Light = field(default_factory=Light)
 
 
 @dataclass(frozen=True)
@@ -94,51 +62,6 @@ class Film:
     sweep: Sweep
     frames: int
     path: Path
-
-
-@dataclass(frozen=True, eq=False)
-class Drawn:
-    """A picture, what it is of, and in what scene, so that places in it can be measured."""
-
-    wish: Wish
-    picture: Picture
-    scene: Scene
-
-    @property
-    def pixel_um(self) -> float:
-        """Size of a pixel of the picture in the screen plane."""
-        return fitting_pixel_um(self.scene, self.wish.size)
-
-    @property
-    def _corner_px(self) -> NDArray[np.float64]:
-        """Where the corner of the data lies in a flat picture, (x, y) in pixels."""
-        middle_um = self._most_um / 2 + np.array(self.scene.view.centre_um[:2])
-        return np.asarray(np.array(self.wish.size) / 2 - middle_um / self.pixel_um)
-
-    @property
-    def _most_um(self) -> NDArray[np.float64]:
-        """Width and height of the data."""
-        return np.asarray(self.scene.layers[0].data.size_um[:2], np.float64)
-
-    def ends_um(self, line: Line) -> NDArray[np.float64]:
-        """Return the ends of a line between two pixels (x, y), (2, 2), as far as the data go, from their corner on."""
-        return np.asarray(np.clip((np.array(line) - self._corner_px) * self.pixel_um, 0, self._most_um))
-
-    def ends_px(self, line: Line) -> NDArray[np.float64]:
-        """Return these ends in the picture, (2, 2)."""
-        return np.asarray(self._corner_px + self.ends_um(line) / self.pixel_um)
-
-    def length_um(self, line: Line) -> float:
-        """Return the length of a line between two pixels (x, y) of a flat picture, as far as the data go."""
-        return float(np.hypot(*np.diff(self.ends_um(line), axis=0)[0]))
-
-    def profile(self, line: Line) -> Profile | None:
-        """Return heights along a line between two pixels (x, y) of a range picture; None in other pictures."""
-        data = self.scene.layers[0].data
-        if self.wish.shown.mode != "range" or not isinstance(data, Relief):
-            return None
-        (x0, y0), (x1, y1) = self.ends_um(line).tolist()
-        return profile(data.heights, ((x0, y0), (x1, y1)))
 
 
 class Data:
@@ -177,16 +100,24 @@ class Data:
     def _focus(self) -> Volume:
         image = tifffile.imread(self._result("extended_focus.tif"))
         values = np.ascontiguousarray(image if image.ndim == 2 else image.mean(axis=2).astype(image.dtype))[None]
-        heights = read_heights(self._result("range.tif"))
+        heights = self._heights()
         return Volume((Band(values, limits_of(values), "extended focus"),), (1.0, *heights.pixel), heights.unit)
 
     def _relief(self, *, draped: bool) -> Relief:
         from display.relief_command import read_drape, usual_exaggeration  # noqa: PLC0415
 
-        heights = read_heights(self._result("range.tif"))
+        heights = self._heights()
         if not draped:
             return Relief(heights)
         return Relief(heights, usual_exaggeration(heights), read_drape(self._result("extended_focus.tif")))
+
+    def heights(self, wish: Wish) -> Heights | None:
+        """Return the heights of what is seen from above; None for other pictures."""
+        return self._heights() if wish.shown.mode in FLAT[:2] else None
+
+    def _heights(self) -> Heights:
+        made: Heights = self._once("heights", lambda: read_heights(self._result("range.tif")))
+        return made
 
     def _result(self, name: str) -> Path:
         path = Path(self.folder) / RESULTS / name
@@ -304,7 +235,6 @@ class Reviewer:
         """Write the newest picture as PNG."""
         if self.drawn is not None:
             write_durably(path, png_bytes(self.drawn.picture))
-            self._journal.add("info", "review", f"saved {path}")
 
     def film(self, film: Film) -> None:
         """Have a movie written; pictures that are wished for meanwhile come after it."""
@@ -370,7 +300,7 @@ class Reviewer:
             left, right = (encoded(light) for light in views(renderer, scene, self._flipping.size))
             self._flipping.publish(*((right, left) if scene.stereo.swap else (left, right)))
         scene = _without_glasses(scene)
-        return Drawn(wish, picture(renderer, scene, wish.size), scene)
+        return Drawn(wish, picture(renderer, scene, wish.size), scene, data.heights(wish))
 
     def _next(self, done: Wish | None) -> Wish | Film | None:
         with self._wished:

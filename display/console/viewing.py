@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from display import controls
-from display.console.review import FLAT, RESULTS, Line, Wish, first_shown
+from display.console.drawn import FLAT, Line, Wish
+from display.console.picks import Picks
+from display.console.review import RESULTS, first_shown
 from display.scene import Light
 
 if TYPE_CHECKING:
@@ -40,6 +42,10 @@ class Viewing:
         Where the light comes from: azimuth and elevation in degrees.
     line : ((x, y), (x, y)) or None
         Two pixels of the picture between which is measured.
+    picks : Picks
+        Points picked in the data that is looked at.
+    pixel : (x, y)
+        One of the picture, typed, to be picked.
     size : (width, height)
         Of the picture wished for last, in pixels.
     """
@@ -52,6 +58,8 @@ class Viewing:
     threshold: float | None = None
     light: tuple[float, float] = (-35.0, 40.0)
     line: Line | None = None
+    picks: Picks = field(default_factory=Picks)
+    pixel: tuple[int, int] = (0, 0)
     size: tuple[int, int] = (0, 0)
     sweep: Sweep = "rotation"
     frames: int = FRAMES
@@ -65,6 +73,7 @@ class Viewing:
         """Look at other data, in planes where nothing was computed of it yet."""
         self.folder = self.typed = folder
         self.line, self.points, self.threshold = None, [], None
+        self.picks.forget()
         if self.shown.mode in FLAT and not (Path(folder) / RESULTS / "range.tif").exists():
             self.kind("orthogonal")
 

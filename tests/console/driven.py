@@ -146,8 +146,30 @@ def range_image(hand):
     rig = console.bench.rig
     wide_um = rig.object_pixel_um * (rig.camera.size_px[0] - 1)
     assert console.measured.startswith(f"{wide_um:.2f} µm")
+    picked_points(hand)
     hand.shot("console_range")
     hand.key(KEY._1)
+
+
+def picked_points(hand):
+    """Pick three points of the range image, by its key and by a click, and save them."""
+    picks = hand.console.viewing.picks
+    hand.ctx.mouse_move("//Review/drawn")
+    x, y = imgui.get_mouse_pos()
+    for k, (right, down) in enumerate(((0, 0), (60, 0), (60, 45)), start=1):
+        hand.ctx.mouse_move_to_pos(imgui.ImVec2(x + right, y + down))
+        if k < 3:
+            hand.key(KEY.p)
+        else:
+            hand.ctx.key_down(KEY.mod_ctrl)
+            hand.ctx.mouse_click()
+            hand.ctx.key_up(KEY.mod_ctrl)
+        hand.wait(lambda k=k: len(picks.points) == k)
+    apart = np.diff(np.array(picks.points)[:, :2], axis=0)
+    um = hand.window.review.reviewer.drawn.pixel_um
+    np.testing.assert_allclose(apart, [[60 * um, 0], [0, 45 * um]], atol=um)
+    hand.click("//Review/Save points")
+    hand.wait(lambda: list(Path("snapshots").glob("*-range-mono.csv")))
 
 
 def part_of_the_frame(hand):

@@ -17,13 +17,13 @@ from display.console import alarms
 from display.console import contrast as grey
 from display.console import placing as p
 from display.console import settings as remembered
+from display.console.drawn import Drawn, Wish
 from display.console.eyes import histogram_of, look
 from display.console.files import FileEditor
 from display.console.journal import Journal, event_words
 from display.console.keys import BINDINGS
 from display.console.model import Console
 from display.console.moving import Jogger, Marks
-from display.console.review import Drawn, Wish
 from display.console.run_queue import RunQueue, queue_file
 from display.console.stack_form import Advice, SectionsForm, StackForm, form_of
 from display.console.tour import STEPS, Tour

@@ -12,19 +12,23 @@ from imgui_bundle import imgui
 from devices.errors import StereotomeError
 from display import controls
 from display.console.contrast import TABLES
+from display.console.drawn import FLAT
 from display.console.flipping import REVIEW as SHOWN_REVIEW
 from display.console.panels import widgets as w
-from display.console.review import FLAT, PAGE_FLIP, Film
+from display.console.review import PAGE_FLIP, Film
 from display.console.viewing import REVIEW
 from display.controls import STEREOS
 from display.gl.live_picture import StillPicture
 from display.movie import SWEEPS
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
+    from display.console.drawn import Drawn
     from display.console.model import Console
-    from display.console.review import Drawn, Reviewer
+    from display.console.review import Reviewer
     from display.console.viewing import Viewing
     from display.gl.canvas import Canvas
     from display.stereo import Mode
@@ -56,7 +60,28 @@ class ReviewPanel:
         _kind(console)
         if viewing.shown.mode not in FLAT:
             self._depth(viewing)
+        if self.reviewer.drawn is not None and self.reviewer.drawn.third:
+            self._points(console, self.reviewer.drawn)
         self._show(console)
+
+    def _points(self, console: Console, drawn: Drawn) -> None:
+        """Draw what is done with points that are picked, and the pixel of one to be typed."""
+        viewing, picks = console.viewing, console.viewing.picks
+        imgui.set_next_item_width(w.em(7).x)
+        x, y = imgui.input_int2("##pixel", list(viewing.pixel))[1]
+        viewing.pixel = (x, y)
+        imgui.same_line()
+        found = drawn.place_um(viewing.pixel)
+        if w.button("Point here", "" if found else "nothing is known there", "Ctrl and click, or P over the picture"):
+            assert found is not None
+            picks.add(found, drawn.third, drawn.unit)
+        imgui.same_line()
+        why_not = "" if picks.points else "no point was picked"
+        if w.button("No points", why_not):
+            picks.forget()
+        imgui.same_line()
+        if w.button("Save points", why_not, "each with the way to it and its angle, as a table"):
+            self._save(console, ".csv", picks.save)
 
     def _source(self, console: Console) -> None:
         viewing = console.viewing
@@ -69,7 +94,7 @@ class ReviewPanel:
             viewing.open(viewing.typed)
         imgui.same_line()
         if w.button("Save picture", "" if self.reviewer.drawn is not None else "there is no picture"):
-            self._save(console)
+            self._save(console, ".png", self.reviewer.save)
         self._movie(console)
 
     def _movie(self, console: Console) -> None:
@@ -94,11 +119,14 @@ class ReviewPanel:
         free = (folder / f"{name}{f'-{n}' if n else ''}{suffix}" for n in range(10_000))
         return next(path for path in free if not path.exists())
 
-    def _save(self, console: Console) -> None:
+    def _save(self, console: Console, suffix: str, save: Callable[[Path], None]) -> None:
         try:
-            self.reviewer.save(self._free(console, ".png"))
+            file = self._free(console, suffix)
+            save(file)
         except OSError as error:
             console.journal.add("error", "review", f"not saved: {error}")
+        else:
+            console.journal.add("info", "review", f"saved {file}")
 
     def _depth(self, viewing: Viewing) -> None:
         """Draw what belongs to volumes: the plane in the middle, the threshold of a surface, opacities."""
@@ -135,6 +163,7 @@ class ReviewPanel:
         if imgui.is_item_hovered() or imgui.is_item_active():
             _hands(console.viewing, drawn, (at.x, at.y))
         _measured(console, drawn, (at.x, at.y))
+        _picked(console.viewing, drawn, (at.x, at.y), room.y)
         if self.reviewer.busy:
             lines = imgui.get_window_draw_list()
             w.over_picture(lines, imgui.ImVec2(at.x + w.em(0.5).x, at.y + room.y - w.em(1.6).x), "drawing ...")
@@ -146,6 +175,9 @@ def _hands(viewing: Viewing, drawn: Drawn, at: tuple[float, float]) -> None:
     if io.mouse_wheel:
         viewing.nearer(io.mouse_wheel)
     place = (int(io.mouse_pos.x - at[0]), int(io.mouse_pos.y - at[1]))
+    if drawn.third and (io.key_ctrl or imgui.is_key_pressed(imgui.Key.p, False)):  # noqa: FBT003  the library's
+        _pick(viewing, drawn, place)
+        return
     if viewing.flat and imgui.is_mouse_down(imgui.MouseButton_.left):
         start = place if imgui.is_mouse_clicked(imgui.MouseButton_.left) or viewing.line is None else viewing.line[0]
         viewing.line = (start, place)
@@ -153,6 +185,28 @@ def _hands(viewing: Viewing, drawn: Drawn, at: tuple[float, float]) -> None:
     for which, name in BUTTONS:
         if imgui.is_mouse_dragging(which):
             viewing.shown = controls.drag(viewing.shown, io.mouse_delta.x, io.mouse_delta.y, name, drawn.pixel_um)
+
+
+def _pick(viewing: Viewing, drawn: Drawn, pixel: tuple[int, int]) -> None:
+    """Add the place under the mouse to the line of points, when it is clicked or its key pressed."""
+    pressed = imgui.is_mouse_clicked(imgui.MouseButton_.left) or imgui.is_key_pressed(imgui.Key.p, False)  # noqa: FBT003
+    if pressed and (found := drawn.place_um(pixel)) is not None:
+        viewing.picks.add(found, drawn.third, drawn.unit)
+
+
+def _picked(viewing: Viewing, drawn: Drawn, at: tuple[float, float], height: float) -> None:
+    """Draw the points that were picked, and what was measured along them."""
+    picks = viewing.picks
+    if not picks.points or drawn.third != picks.third:
+        return
+    lines = imgui.get_window_draw_list()
+    seen = [drawn.pixel_of(place) for place in picks.points]
+    corners = [imgui.ImVec2(at[0] + x, at[1] + y) for x, y in seen]
+    lines.add_polyline([*corners], w.YELLOW, 2.0, 0)
+    for number, corner in enumerate(corners, start=1):
+        lines.add_circle(corner, w.em(0.3).x, w.YELLOW)
+        lines.add_text(imgui.ImVec2(corner.x + w.em(0.4).x, corner.y), w.YELLOW, str(number))
+    w.over_picture(lines, imgui.ImVec2(at[0] + w.em(0.5).x, at[1] + height - w.em(3.2).x), picks.words, w.YELLOW)
 
 
 def _measured(console: Console, drawn: Drawn, at: tuple[float, float]) -> None:
