@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
+from acquire.interlock import arbiter_of
 from acquire.replies import Depth, FeedView, Position
 from devices.errors import DeviceError, RigError, Unsafe
 from devices.protocols import Microtome
@@ -12,7 +13,7 @@ from devices.values import to_nm
 
 if TYPE_CHECKING:
     from devices.feed_values import FeedState
-    from devices.protocols import Feed
+    from devices.protocols import Clock, Feed
     from devices.rig import Rig
 
 NM_PER_UM = 1000
@@ -32,11 +33,13 @@ class TellsState(Protocol):
 class Hands:
     """What a hand may do. Used by one thread."""
 
-    def __init__(self, rig: Rig) -> None:
+    def __init__(self, rig: Rig, clock: Clock) -> None:
         self._rig = rig
+        self._clock = clock
 
     def move(self, z_um: float) -> Position:
-        """Bring the stage to a position."""
+        """Bring the stage to a position; while the knife is not seen to be clear, to its park position only."""
+        arbiter_of(self._rig, self._clock).before_stage_moves(z_um)
         return Position(z_um=travel(self._rig.stage, self._rig.spec.stage.z, z_um))
 
     def jog(self, by_um: float) -> Position:

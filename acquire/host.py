@@ -58,7 +58,7 @@ class Host:
         self._by_hand = 0
         self._run_comes = False
         self._live_before = False
-        self._hands = Hands(rig)
+        self._hands = Hands(rig, clock)
         self._comeback = Comeback(rig.stage)
         self.live = LiveView(lambda: rig.camera, clock, rig.spec.camera.exposure_ms, lambda: self._z_um)
         self.run = HostedRun(rig, clock, self._run_told, self._run_over)

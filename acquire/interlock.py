@@ -218,8 +218,7 @@ def guarded(rig: Rig, clock: Clock) -> Rig:
     """Return an instrument whose stage and feed ask the arbiter; one that is guarded already stays as it is."""
     if isinstance(rig.stage, GuardedStage):
         return rig
-    park_um = rig.spec.stage.z.park_um
-    arbiter = Arbiter(rig.stage, rig.feed, None if park_um is None else to_nm(park_um), clock)
+    arbiter = arbiter_of(rig, clock)
     stage = _showing(GuardedStage, rig.stage)(rig.stage, arbiter)
     feed = None if rig.feed is None else _showing(GuardedFeed, rig.feed)(rig.feed, arbiter)
     return Rig(rig.spec, stage, rig.camera, feed, rig.glasses, open_camera=rig.reopen_camera)
@@ -233,6 +232,12 @@ def _showing(guard: type[G], device: object) -> type[G]:
 
 def _passed_on(guard: Any, name: str) -> Any:
     return guard.__getattr__(name)
+
+
+def arbiter_of(rig: Rig, clock: Clock) -> Arbiter:
+    """Return an arbiter over an instrument's stage and feed; it has not seen the knife yet."""
+    park_um = rig.spec.stage.z.park_um
+    return Arbiter(rig.stage, rig.feed, None if park_um is None else to_nm(park_um), clock)
 
 
 def lease_of(stage: Stage) -> MotionLease:

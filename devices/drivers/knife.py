@@ -98,8 +98,14 @@ class Knife:
             The stroke may or may not have cut.
         KnifeFailed
             It is stuck, or not back from its stroke in time.
+        FeedHalted
+            A halt came: before the stroke, and nothing was cut, or on its way.
         """
-        before, doubt = self.count(), self._begin()
+        self._halted.clear()  # of an earlier motion: what is halted from now on is this stroke
+        before = self.count()
+        if self._halted.is_set():
+            raise FeedHalted("knife: a halt came before the stroke. Nothing was cut.", fix="give the command again.")
+        doubt = self._begin()
         try:
             left = self._watch()
             counted = self.count() - before

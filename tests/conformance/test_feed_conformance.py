@@ -168,6 +168,27 @@ def test_halt_stops_at_once_and_reaches_clear_without_a_feed(profile: str):
 
 
 @every_profile
+def test_a_halt_at_rest_does_not_end_the_next_stroke_and_one_right_before_it_lets_none_begin(profile: str):
+    bench = on_twin(profile).ready()
+    knife = bench.twin.plc.knife
+    bench.feed.halt()
+    bench.feed.arm()
+    bench.feed.cut()
+    assert (knife.strokes_begun, knife.cuts_executed) == (1, 1)
+
+    def halt_when_it_counts() -> int:
+        bench.feed._drive.halted.set()
+        return 1
+
+    bench.feed._knife.count = halt_when_it_counts
+    bench.feed.arm()
+    with pytest.raises(DeviceError, match="Nothing was cut") as caught:
+        bench.feed.cut()
+    assert caught.value.code == "feed-halted"
+    assert knife.strokes_begun == 1
+
+
+@every_profile
 def test_an_inverted_feed(profile: str):
     bench = on_twin(profile, invert=True, backlash_um=0.5).ready()
     bench.twin.machine.travel = type(bench.twin.machine.travel)(-5000.0, 50.0)

@@ -3,7 +3,7 @@
 import json
 import signal
 import subprocess
-from contextlib import closing
+from contextlib import closing, contextmanager
 
 import pytest
 from sections import BENCH
@@ -110,15 +110,39 @@ def test_no_cut_is_made_unless_the_stage_reads_its_park_position(at, bench):
     assert at("move", PARK_UM).code == 0
 
 
+@contextmanager
+def cutting(bench, server):
+    """A cut under way: given from another process, its stroke begun."""
+    words = [*PROGRAM, "control", "section", "cut", "--stage-is-parked", "--server", str(server.connection)]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as cut:
+        while counters(bench)["knife"] != "cutting":
+            assert cut.poll() is None, cut.stderr.read()
+        yield cut
+
+
+def test_while_the_knife_is_out_the_stage_goes_nowhere_but_to_its_park_position(at, bench, server):
+    before = counters(bench)["cuts"]
+    with cutting(bench, server) as cut:
+        assert at("stop").code == 0
+        _, said = cut.communicate()
+    assert (cut.returncode, "error[feed-halted]" in said) == (4, True), said
+    assert at("release").code == 0
+    refused = at("jog", 1)
+    assert (refused.code, "not clear. The stage stays where it is" in refused.err) == (5, True), refused.err
+    assert at("move", PARK_UM).code == 0
+    assert at("section", "retract", "--knife").code == 0
+    assert at("jog", 1).code == 0
+    assert at("move", PARK_UM).code == 0
+    assert at("section", "cut", "--stage-is-parked").code == 0  # the stop is over: it does not end the next stroke
+    assert counters(bench)["cuts"] == before + 1
+
+
 def test_a_cut_whose_answer_is_lost_is_told_to_be_unknown_and_not_made_again(bench, server):
     """The last of these tests: it kills the instrument's process in the middle of a stroke."""
     before = counters(bench)["cuts"]
-    words = [*PROGRAM, "control", "section", "cut", "--stage-is-parked", "--server", str(server.connection)]
-    cut = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
-    while counters(bench)["knife"] != "cutting":
-        assert cut.poll() is None, cut.stderr.read()
-    server.process.send_signal(signal.SIGKILL)
-    _, said = cut.communicate()
+    with cutting(bench, server) as cut:
+        server.process.send_signal(signal.SIGKILL)
+        _, said = cut.communicate()
     assert (cut.returncode, "error[feed-undecided]" in said) == (5, True), said
     assert "told to cut once, and nobody knows whether it was executed" in said
     assert counters(bench)["cuts"] <= before + 1  # none more, when the watchdog stopped the knife on its way
