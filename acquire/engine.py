@@ -7,41 +7,27 @@ from typing import TYPE_CHECKING, Any, cast
 from acquire.autofocus import Focus
 from acquire.between import Between
 from acquire.control import Cancelled, Control, Held
+from acquire.exposures import Exposures
 from acquire.focusing import Focusing
-from acquire.frame import Missed
 from acquire.halting import Halting
 from acquire.inspection import Hands, Inspection
-from acquire.plan import Plane
 from acquire.ports import CAREFUL, FrameOut, Policy, SectionOut
 from acquire.recorder import DiskLow
 from acquire.removal import Removal
-from acquire.revival import revived
 from acquire.run_plan import Kind, RunPlan, Step, run_plan
 from acquire.sequence import TriggeredStack
 from acquire.series import Series
-from acquire.snap import snap
 from acquire.standing import AGAIN, END, ENDS, NOTHING_REMOVED, Standing
 from acquire.state import FINAL, Board, Phase, Question, RunState, RunStatus, Scope
 from acquire.store import RunEnd
-from acquire.taker import CAMERA_STOP_S, Mover, Place, PlaneTaker
+from acquire.taker import CAMERA_STOP_S, Mover, PlaneTaker
 from acquire.verdict import Finding, no_inspection
-from devices.errors import (
-    CameraGone,
-    CameraTimeout,
-    DeviceError,
-    Halted,
-    LinkLost,
-    PlanError,
-    StageStalled,
-    StereotomeError,
-)
+from devices.errors import CameraTimeout, Halted, LinkLost, PlanError, StageStalled, StereotomeError
 from devices.protocols import HandControls
 from devices.values import to_um
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
-
-    import numpy as np
 
     from acquire.plan import StackPlan
     from acquire.sequence import TakenPlane
@@ -50,7 +36,6 @@ if TYPE_CHECKING:
 
 __all__ = ["FINAL", "Phase", "Policy", "Run", "RunState", "RunStatus"]
 
-LEAVE_OUT = "leave-out"
 UNFOCUSED = Focus()
 MOVING = {Phase.MOVING, Phase.SETTLING, Phase.PARKING, Phase.FOCUSING}
 
@@ -110,15 +95,12 @@ class Run:
     ) -> None:
         self._plan = run_plan(plan)
         self._stage = stage
-        self._camera = camera
         self._feed = feed
         self._out = out
         self._clock = clock
         self._policy = policy
         self._utc_ns = utc_ns
         self._tell = tell
-        self._switch_band = switch_band
-        self._reopen_camera = reopen_camera
         self._board = Board()
         self._control = Control(
             self._board, clock, note=self._note, tell=self._say, attended=policy.attended, answers=policy.answers
@@ -136,14 +118,13 @@ class Run:
             check=self._check_out,
             utc_ns=utc_ns,
         )
-        self._recorded = set(done)
+        self._exposures = self._make_exposures(camera, done, switch_band, reopen_camera)
         self._committed = committed
-        self._band: int | None = None
-        self._triggered = policy.triggered and not self._recorded  # the rest of a run is taken plane by plane
+        self._triggered = policy.triggered and not done  # the rest of a run is taken plane by plane
         self._removal = self._make_removal(known)
         self._inspection = self._make_inspection(inspect)
-        self._focusing = Focusing(
-            self._plan, stage.limits, self._durable_planes, self._picture, self._note, focus=focus
+        self._focusing: Focusing = Focusing(
+            self._plan, stage.limits, self._durable_planes, self._exposures.picture, self._note, focus=focus
         )
         self._between = Between(self._plan, clock, self._control, self._board, self._note)
         self.error: StereotomeError | None = None
@@ -152,7 +133,7 @@ class Run:
             Kind.WAIT: self._between.wait,
             Kind.TILT: self._tilt,
             Kind.FOCUS: self._focus,
-            Kind.EXPOSE: self._expose,
+            Kind.EXPOSE: self._exposures.take,
             Kind.COMMIT: self._commit,
             Kind.INSPECT: lambda step: self._inspection.look(step.section),
         }
@@ -223,6 +204,30 @@ class Run:
             self._leave(end)
         return self._board.state
 
+    def _make_exposures(
+        self,
+        camera: Camera,
+        done: Collection[int],
+        switch_band: Callable[[int], None],
+        reopen_camera: Callable[[], Camera] | None,
+    ) -> Exposures:
+        return Exposures(
+            self._plan,
+            self._mover,
+            self._taker,
+            camera,
+            self._out,
+            self._clock,
+            self._control,
+            self._board,
+            self._policy,
+            done=done,
+            offset_nm=lambda: self._focusing.focus.offset_nm,
+            switch_band=switch_band,
+            reopen_camera=reopen_camera,
+            tell=self._say,
+        )
+
     def _make_removal(self, known: Standing) -> Removal | None:
         if self._plan.sections is None:
             return None
@@ -276,7 +281,7 @@ class Run:
 
     def _arm(self) -> None:
         self._plan.check(self._stage.limits)
-        self._camera.configure(exposure_ms=self._plan.exposure_ms(0))
+        self._exposures.camera.configure(exposure_ms=self._plan.exposure_ms(0))
         self._hand_controls(enabled=False)
         if not self._triggered and not self._plan.bands:
             self._taker.arm()
@@ -290,7 +295,7 @@ class Run:
             self._removal.begin()
         if self._triggered:
             self._take_triggered()
-        self._between.begin(self._first_missing())
+        self._between.begin(self._exposures.first_missing())
         if self._plan.at_camera_rate:
             self._take_at_camera_rate()
         for section in range(self._committed, self._plan.times):
@@ -325,135 +330,34 @@ class Run:
                 raise AssertionError(step)
 
     def _tilt(self, step: Step) -> None:
-        if self._recorded.isdisjoint(self._plan.slots_of(step.section)):
+        if not self._exposures.begun(step.section):
             self._between.tilt(step)
             self._taker.forget_approach()
-
-    def _first_missing(self) -> int:
-        """Return the first point in time of which a plane is missing."""
-        slots = range(len(self._plan))
-        return next((slot for slot in slots if slot not in self._recorded), 0) // self._plan.slots_each
 
     def _take_at_camera_rate(self) -> None:
         """Take a series as fast as frames come; what is lost on the way stays a gap at its time."""
         self._control.heed(Scope.PLANE)
-        series = Series(self._plan, self._camera, self._out, self._clock, self._control, utc_ns=self._utc_ns)
+        series = Series(self._plan, self._exposures.camera, self._out, self._clock, self._control, utc_ns=self._utc_ns)
         z_um = self._taker.go_to(self._plan.stack.plane(0))
         self._board.phase = Phase.EXPOSING
-        for section in series.take(self._first_missing(), z_um, check=self._check_out):
+        for section in series.take(self._exposures.first_missing(), z_um, check=self._check_out):
             self._board.section = section
-            self._record(section, 0, 0, z_um)
+            self._exposures.record(section, 0, 0, z_um)
         for section, reason in series.lost.items():
-            self._miss(Step(Kind.EXPOSE, section), CameraTimeout(reason, code="frame-lost"))
-            self._recorded.add(section)
+            self._exposures.miss(Step(Kind.EXPOSE, section), CameraTimeout(reason, code="frame-lost"))
+            self._exposures.recorded.add(section)
 
     def _focus(self, step: Step) -> None:
         """Bring the focus where the section's planes are to be taken, unless some of them are taken already."""
-        if not self._recorded.intersection(self._plan.slots_of(step.section)):
+        if not self._exposures.begun(step.section):
             self._board.phase = Phase.FOCUSING
             self._focusing.before(step.section)
             self._taker.forget_approach()
 
-    def _picture(self, z_nm: int) -> np.ndarray:
-        """Take a picture for the autofocus: nothing of it is kept."""
-        self._choose_band(0)
-        self._camera.stop(CAMERA_STOP_S)
-        z_um = to_um(z_nm)
-        for target_nm in self._plan.stack.moves_nm(Plane(0, z_nm), None):
-            z_um = self._mover.move(target_nm, Phase.FOCUSING)
-        pixels, _ = snap(self._camera, self._clock, self._plan.exposure_ms(0), z_um)
-        self._taker.arm()
-        return pixels
-
-    def _plane(self, number: int) -> Plane:
-        """Return a plane of the plan where the focus has it now."""
-        planned = self._plan.stack.plane(number)
-        return Plane(number, planned.z_nm + self._focusing.focus.offset_nm)
-
-    def _expose(self, step: Step) -> None:
-        slot = self._plan.slot(step.section, step.band, step.plane)
-        if slot in self._recorded:
-            return
-        if step.plane == 0 and not self._plan.plane_by_plane:
-            self._taker.forget_approach()
-            self._control.heed(Scope.STACK)
-        self._control.heed(Scope.PLANE)
-        self._choose_band(step.band)
-        self._take_or_miss(step)
-
-    def _choose_band(self, band: int) -> None:
-        if self._plan.bands and band != self._band:
-            self._camera.stop(CAMERA_STOP_S)
-            self._switch_band(band)
-            self._taker.arm()
-            self._band = band
-
     def _retake(self, slots: Collection[int], reason: str) -> None:
         """Take planes of the section in work again."""
         self._sections.reject(slots, reason)
-        self._recorded -= set(slots)
-        self._taker.forget_approach()
-        for step in self._plan.steps(self._board.section):
-            if step.kind is Kind.EXPOSE:
-                self._expose(step)
-
-    def _take_or_miss(self, step: Step) -> None:
-        """Take a plane; one that cannot be taken is asked about, or left out, or ends the run, as the policy says."""
-        self._board.plane = step.plane
-        while True:
-            try:
-                self._take(step)
-            except (CameraGone, CameraTimeout, Halted, StageStalled) as error:
-                self._control.checkpoint()  # a halted move ends as a stall: that was the operator, not a fault
-                if self._policy.gap_on_error and not isinstance(error, CameraGone):
-                    self._miss(step, error)
-                elif not self._policy.asks:
-                    raise
-                elif self._ask_about(step, error) == AGAIN:
-                    continue
-            return
-
-    def _ask_about(self, step: Step, error: DeviceError) -> str:
-        answers = {AGAIN: "take it again", LEAVE_OUT: "leave it out", END: ENDS}
-        choice = self._control.ask(Question(error.code, f"Plane {step.plane} cannot be taken. {error}", answers))
-        self._taker.forget_approach()
-        if choice == LEAVE_OUT:
-            self._miss(step, error)
-        return choice
-
-    def _miss(self, step: Step, error: DeviceError) -> None:
-        missed = Missed(step.plane, error.code, step.section, step.band)
-        self._board.missed.append(missed)
-        self._out.missed(missed)
-        self._tell({"event": "warn", "plane": step.plane, "code": error.code, "message": str(error)})
-
-    def _take(self, step: Step) -> None:
-        place = Place(step.section, step.band, self._plane(step.plane), self._plan.exposure_ms(step.band))
-        try:
-            z_um = self._taker.take(place)
-        except CameraGone as gone:
-            self._revive_camera(gone)
-            z_um = self._taker.take(place)
-        self._record(step.section, step.band, step.plane, z_um)
-
-    def _revive_camera(self, gone: CameraGone) -> None:
-        if self._reopen_camera is None:
-            raise gone
-        self._camera = revived(self._reopen_camera, gone, self._clock, self._control, self._tell)
-        self._camera.configure(exposure_ms=self._plan.exposure_ms(self._band or 0))
-        if self._band is not None:
-            self._switch_band(self._band)
-        self._taker.use(self._camera)
-        self._taker.arm()
-
-    def _record(self, section: int, band: int, plane: int, z_um: float) -> None:
-        self._recorded.add(self._plan.slot(section, band, plane))
-        self._board.taken += 1
-        setpoint_um = self._plane(plane).z_um
-        told = {"event": "plane", "plane": plane, "z_um": z_um, "setpoint_um": setpoint_um}
-        if self._plan.times > 1 or self._plan.bands:
-            told |= {"section": section, "band": band}
-        self._tell(told)
+        self._exposures.take_again(slots, self._board.section)
 
     def _check_out(self) -> None:
         self._with_room(self._out.check)
@@ -475,7 +379,7 @@ class Run:
         """Commit-before-cut: nothing is removed before every plane of the face is durable, accepted or waived."""
         self._board.phase = Phase.COMMITTING
         self._sections.settle()
-        waived = [slot for slot in self._plan.slots_of(step.section) if slot not in self._recorded]
+        waived = self._exposures.missing(step.section)
         self._sections.commit_section(step.section, waived)
         self._tell({"event": "section", "section": step.section, "waived": waived})
 
@@ -486,7 +390,7 @@ class Run:
         stack = TriggeredStack(
             self._plan.stack,
             self._stage,
-            self._camera,
+            self._exposures.camera,
             self._out,
             self._clock,
             utc_ns=self._utc_ns,
@@ -497,7 +401,7 @@ class Run:
             complaint = stack.take(self._mover.timeout_s(self._plan.stack.start_nm))
         finally:
             self._control.checkpoint()  # a halt ends it as a stall: that was the operator, not a fault
-        left = [plane.index for plane in self._plan.stack if plane.index not in self._recorded]
+        left = [plane.index for plane in self._plan.stack if plane.index not in self._exposures.recorded]
         if complaint or left:
             words = f"triggered stack: {complaint or 'frames were lost'}; taken one by one: {left or 'none'}"
             self._tell({"event": "warn", "plane": self._board.plane, "code": "stage-sequence", "message": words})
@@ -505,7 +409,7 @@ class Run:
 
     def _took(self, place: TakenPlane) -> None:
         self._board.plane = place.plane
-        self._record(0, 0, place.plane, place.z_um)
+        self._exposures.record(0, 0, place.plane, place.z_um)
 
     def _leave(self, end: RunEnd) -> None:
         """Halt, go back, close the camera's delivery, put the last record: each step even if one before failed."""
@@ -513,7 +417,7 @@ class Run:
         if end is RunEnd.CANCELLED:
             self._control.enter(RunState.CANCELLING)
         self._try(self._halting.everything if self._control.stopped else self._stage.halt)
-        self._try(lambda: self._camera.stop(CAMERA_STOP_S))
+        self._try(lambda: self._exposures.camera.stop(CAMERA_STOP_S))
         if self._removal:
             self._removal.leave()
         self._try(self._return)
