@@ -14,14 +14,12 @@ import numpy as np
 
 from processing.block_job import at_once, begun
 from processing.block_options import whole_needed
-from processing.blockwise import MOST_PLANES, amount, fitted
+from processing.blockwise import amount, fitted
 from processing.deblur import WORKERS
 from processing.deblur_known import Known, plane_said, summed
 from processing.deblur_tiles import NAME, TITLE, Course, Deblurring, as_grey, halo_px, tile_bytes, tile_sides
-from processing.marked import Marked
-from processing.pieces import Tiled
+from processing.pieces import PLANES_EACH, READ_BYTES, Cut, Tiled
 from processing.slabs import Slabs
-from processing.tiles import Tile, tiles
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,40 +33,29 @@ if TYPE_CHECKING:
 
     Array = NDArray[Any]
 
-SURVEYED = 8  # planes that are looked at by one part
-READ_BYTES = 24  # of a pixel of a plane while it is read, looked at, and written with its smaller versions
-
 
 @dataclass(frozen=True)
-class Survey(Marked):
+class Survey(Cut):
     """What must be known of whole planes, and how much each tile of them shows."""
 
     source: Source
-    count: int
-    tiles: tuple[Tile, ...]
 
-    @property
-    def places(self) -> list[Tile]:
-        """Some planes each."""
-        return list(tiles((self.count,), (SURVEYED,), (0,)))
+    def plane(self, z: int) -> Array:
+        """Return a plane."""
+        return self.source.stack[z]
 
-    def do(self, k: int) -> dict[str, Any]:
-        """Look at some planes."""
-        here = self.places[k].write[0]
-        said, sums = [], []
-        for z in range(here.start, here.stop):
-            plane = self.source.stack[z]
-            said.append(plane_said(plane))
-            sums.append([moments(plane[tile.write[1:]][::2, ::2]) for tile in self.tiles])
-        return {"planes": said, "moments": sums}
+    def look(self, plane: Array) -> dict[str, Any]:
+        """Look at a plane."""
+        sums = [moments(plane[rows, columns][::2, ::2]) for rows, columns in self.boxes]
+        return {"said": plane_said(plane), "moments": sums}
 
     def known(self) -> Known:
         """Return what is known of the whole."""
-        return summed([said for found in self.found() for said in found["planes"]])
+        return summed([about["said"] for about in self.looked()])
 
     def busiest(self) -> int:
         """Return the number of the tile with the most contrast."""
-        planes = np.array([sums for found in self.found() for sums in found["moments"]], np.float64)
+        planes = np.array([about["moments"] for about in self.looked()], np.float64)
         count, total, squares = planes.sum(axis=0).T
         return int(np.argmax(squares / count - (total / count) ** 2))
 
@@ -83,7 +70,7 @@ def moments(pixels: Array) -> tuple[int, int, int]:
 class Restoring(Tiled):
     """Every tile restored; the one with the most contrast alone first, since it decides how many steps all take."""
 
-    source: Source
+    planes: Survey
     psf: Array
     how: Deblurring
     busiest: int
@@ -95,8 +82,8 @@ class Restoring(Tiled):
 
     def do(self, k: int) -> dict[str, Any]:
         """Restore a tile."""
-        place, stack = self.places[k], self.source.stack
-        part = np.stack([stack[z][place.read[1:]] for z in range(len(stack))])
+        place = self.places[k]
+        part = np.stack([self.planes.part(z, *place.read[1:]) for z in range(self.shape[0])])
         steps = None if k == self.busiest else self.course()["steps"]
         made = self.how.restored(part, self.psf, steps=steps, noise_share=0.0)
         self.keep(NAME, k, as_grey(made.volume[place.inner], self.how.background, part.dtype))
@@ -175,23 +162,22 @@ def deblur_by_blocks(
     plane = float(READ_BYTES * shape[1] * shape[2])
 
     def needs(side: int) -> float:
-        return plane + max(tile_bytes(shape, psf.shape, max(halo), side), plane)
+        return max(tile_bytes(shape, psf.shape, max(halo), side), plane)
 
     what = "a tile of all planes with what is around it"
     side, count = fitted(amount(blocks.memory), tile_sides(shape), needs, workers, what)
     job = {**source.told(), **told, "psf": crc32(psf.tobytes())}
     with begun(output, job, {"side": side}, count, blocks, overwrite=overwrite, quiet=quiet) as going:
         there, side = source.absolute, going.plan["side"]
-        cuts = tuple(tiles(shape, (shape[0], side, side), halo))
-        survey = Survey(going.work / "survey", there, shape[0], cuts)
-        going.do("looking at planes", survey)
+        survey = Survey(going.work / "planes", shape[0], shape[1:], str(stack.dtype), side, there)
+        going.do("cutting planes", survey)
         how = settle(survey.known())
         place = (going.work / "restored", shape, side, halo)
         for alone in (True, False):
-            restoring = Restoring(*place, there, psf, how, survey.busiest(), alone)
+            restoring = Restoring(*place, survey, psf, how, survey.busiest(), alone)
             going.do("deblurring", restoring)
-        joined = Joined(going.work / "joined", shape, min(MOST_PLANES, SURVEYED), ((NAME, layout),), restoring)
+        joined = Joined(going.work / "joined", shape, PLANES_EACH, ((NAME, layout),), restoring)
         going.do("joining tiles", joined)
         first = restoring.course()
-    course = Course(first["steps"], first["stopped"], tuple(first["residual"]), len(cuts), halo)
+    course = Course(first["steps"], first["stopped"], tuple(first["residual"]), len(restoring.places), halo)
     return joined.image(NAME), how, survey.known(), course

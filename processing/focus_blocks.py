@@ -41,7 +41,7 @@ from processing.outputs import (
     write_previews,
     write_tiff_in_bands,
 )
-from processing.pieces import Tiled, percentiles, ranked
+from processing.pieces import READ_BYTES, Cut, Tiled, percentiles, ranked
 from processing.registration import Placement, RegisteredPlanes
 from processing.tiles import Tile, tiles
 
@@ -56,8 +56,8 @@ if TYPE_CHECKING:
     from processing.block_options import Blocks
     from processing.block_source import Source
     from processing.focus_tracks import Method, Options
-    from processing.registration import Planes
     from processing.stack import Stack
+    from processing.tiles import Box
 
     Array = NDArray[Any]
     W = TypeVar("W", bound=Marked)
@@ -66,8 +66,7 @@ if TYPE_CHECKING:
 # from there as they are in the whole, and sums of single floats are taken in the same order.
 HALO_PX: dict[Method, int] = {"brightfield": 256, "transparent": 640, "confocal": 64, "threshold": 0}
 CORNER_PX: dict[Method, int] = {"brightfield": 256, "transparent": 128, "confocal": 64, "threshold": 64}
-SURVEYED = 8  # planes that are looked at as a whole by one part
-READ_COPIES, REGISTER_BYTES = 4, 20  # of a whole plane while a part of it is taken; of its pixels while it is matched
+REGISTER_BYTES = 20  # of a pixel while planes are matched
 SHOWN_PX = 2048  # longer side of the pictures for the eye, at most
 LAYERS = ("range", "confidence", "plane", "width")
 
@@ -94,54 +93,45 @@ class Registering(Marked):
 
 
 @dataclass(frozen=True)
-class Seen:
-    """The planes of a stack as they are measured.
+class Survey(Cut):
+    """Planes as they are measured, and what must be known of each as a whole.
 
     Attributes
     ----------
     source : Source
     placements : tuple of Placement
         Of every plane; none where they are taken as they are.
+    band : int, optional
+        Of colour planes, that decides.
     """
 
     source: Source
-    placements: tuple[Placement, ...] = ()
-
-    @property
-    def planes(self) -> Planes:
-        """Planes, read when they are asked for."""
-        stack = self.source.stack
-        return RegisteredPlanes(stack, self.placements) if self.placements else stack
-
-
-@dataclass(frozen=True)
-class Survey(Marked):
-    """What must be known of whole planes."""
-
-    seen: Seen
-    count: int
+    placements: tuple[Placement, ...]
     band: int | None
 
-    @property
-    def places(self) -> list[Tile]:
-        """Some planes each."""
-        return list(tiles((self.count,), (SURVEYED,), (0,)))
+    def plane(self, z: int) -> Array:
+        """Return a plane, registered where planes are."""
+        stack = self.source.stack
+        return (RegisteredPlanes(stack, self.placements) if self.placements else stack)[z]
 
-    def do(self, k: int) -> dict[str, Any]:
-        """Look at some planes."""
-        here, planes = self.places[k].write[0], self.seen.planes
-        return {"planes": [plane_facts(planes[z], self.band) for z in range(here.start, here.stop)]}
+    def look(self, plane: Array) -> PlaneFacts:
+        """Return noise and brightness of a plane."""
+        return plane_facts(plane, self.band)
 
     def facts(self) -> tuple[PlaneFacts, ...]:
         """Return what is known of every plane."""
-        return tuple(PlaneFacts(*facts) for said in self.found() for facts in said["planes"])
+        return tuple(PlaneFacts(*facts) for facts in self.looked())
+
+    def parts(self, box: Box) -> Iterator[Array]:
+        """Yield the same part of every plane."""
+        return (self.part(z, *box) for z in range(self.count))
 
 
 @dataclass(frozen=True)
 class Measured(Tiled):
     """Range, confidence, plane and width of every tile; with the method transparent the picture, too."""
 
-    seen: Seen
+    planes: Survey
     options: Options
     facts: tuple[PlaneFacts, ...]
     z: tuple[float, ...]
@@ -151,7 +141,7 @@ class Measured(Tiled):
         place = self.places[k]
         rows, columns = (s.stop - s.start for s in place.read)
         sweep = FocusSweep((rows, columns), **self.options)
-        for plane, about in zip(parts(self.seen.planes, place.read), self.facts, strict=True):
+        for plane, about in zip(self.planes.parts(place.read), self.facts, strict=True):
             sweep.add(plane, about)
         image = sweep.finish(np.array(self.z))
         layers: tuple[Array, ...] = (image.range_, image.confidence, image.plane, image.width)
@@ -192,7 +182,6 @@ class Measured(Tiled):
 class Gathered(Tiled):
     """The extended focus of every tile, once its range and the depth that is averaged over are known."""
 
-    seen: Seen
     ranges: Measured
     reach: float
 
@@ -202,13 +191,8 @@ class Gathered(Tiled):
         layers = (np.array(self.ranges.load(name, k)) for name in LAYERS)
         range_, confidence, plane, width = layers
         image = RangeImage(range_, confidence, plane, width, plane == 0, 0.0, np.array(self.ranges.z))
-        self.keep("extended_focus", k, gather(parts(self.seen.planes, place.write), image, self.reach))
+        self.keep("extended_focus", k, gather(self.ranges.planes.parts(place.write), image, self.reach))
         return {}
-
-
-def parts(planes: Planes, box: tuple[slice, ...]) -> Iterator[Array]:
-    """Yield the same part of every plane."""
-    return (planes[k][box] for k in range(len(planes)))
 
 
 @dataclass(frozen=True)
@@ -252,11 +236,11 @@ class InPieces:
 
 
 def tile_bytes(stack: Stack, per_pixel: float, halo: int, side: int, *, register: bool) -> float:
-    """Return about what measuring one tile takes, whole planes as they are read included."""
+    """Return about what measuring one tile takes, or reading one whole plane."""
     whole = stack.shape[0] * stack.shape[1]
     pixels = np.prod([min(n, side + 2 * halo) for n in stack.shape[:2]])
-    read = READ_COPIES * whole * (3 if stack.colour else 1) * stack.dtype.itemsize
-    return float(max(pixels * per_pixel + read, REGISTER_BYTES * whole + read if register else 0))
+    read = READ_BYTES * whole * (3 if stack.colour else 1)
+    return float(max(pixels * per_pixel, read + (REGISTER_BYTES * whole if register else 0)))
 
 
 def tile_sides(stack: Stack, method: Method, count: int) -> range:
@@ -322,22 +306,22 @@ class Focusing:
         """Do all of it."""
         matching = self._did("matching planes", Registering(self._at("registering"), self.source, register))
         told = matching.found()[0]
-        seen = Seen(self.source, tuple(Placement(**p) for p in told["placements"]))
-        ranges = self._measured(seen)
+        ranges = self._measured(tuple(Placement(**p) for p in told["placements"]))
         width = ranges.curve_width()
         soft, z = self.options["method"] == "transparent", np.array(ranges.z)
         reach = reach_of(width, z) if self.options["method"] == "brightfield" else 0.0
         place = (self._at("gathered"), ranges.shape, ranges.side, (0, 0))
-        pictures: Tiled = ranges if soft else self._did("gathering focus", Gathered(*place, seen, ranges, reach))
+        pictures: Tiled = ranges if soft else self._did("gathering focus", Gathered(*place, ranges, reach))
         return self._shown(ranges, pictures, width, reach, told["registration"])
 
-    def _measured(self, seen: Seen) -> Measured:
-        stack, method = self.source.stack, self.options["method"]
-        survey = Survey(self._at("survey"), seen, len(stack), self.options.get("band"))
-        facts = self._did("looking at planes", survey).facts()
+    def _measured(self, placements: tuple[Placement, ...]) -> Measured:
+        stack, method, side = self.source.stack, self.options["method"], self.going.plan["side"]
+        planes = (self._at("planes"), len(stack), stack.shape, str(stack.dtype), side)
+        survey = self._did("cutting planes", Survey(*planes, self.source, placements, self.options.get("band")))
         z = plane_positions(stack.z_um, len(stack))
-        place = (self._at("measured"), stack.shape[:2], self.going.plan["side"], (HALO_PX[method],) * 2)
-        return self._did("measuring focus", Measured(*place, seen, self.options, facts, tuple(z.tolist())))
+        place = (self._at("measured"), stack.shape[:2], side, (HALO_PX[method],) * 2)
+        measured = Measured(*place, survey, self.options, survey.facts(), tuple(z.tolist()))
+        return self._did("measuring focus", measured)
 
     def _shown(
         self, ranges: Measured, pictures: Tiled, width: float, reach: float, registration: dict[str, Any]

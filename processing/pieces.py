@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 ROWS = 256  # of a picture that are put together at once
+PLANES_EACH = 8  # that are copied by one part
+READ_BYTES = 32  # of each value of a plane while it is read, mapped to 16 bit, looked at, written with its pyramid
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,101 @@ class Tiled(Marked):
         height, width = self.shape
         for start in range(0, height, ROWS):
             yield self.read(name, (slice(start, min(start + ROWS, height)), slice(0, width)))
+
+
+@dataclass(frozen=True)
+class Cut(Marked):
+    """Planes copied so that a tile can be read without the rest of them; each is looked at as a whole on the way.
+
+    A part is a file of a few planes; in it lies, tile after tile, what each of its planes shows there.
+
+    Attributes
+    ----------
+    folder : Path
+        Where files and marks are written.
+    count : int
+        Planes.
+    shape : tuple of int
+        Of a plane, (height, width) or (height, width, bands).
+    dtype : str
+    side : int
+        Rows and columns of a tile.
+    """
+
+    count: int
+    shape: tuple[int, ...]
+    dtype: str
+    side: int
+
+    def plane(self, z: int) -> Array:
+        """Return plane ``z``; for subclasses."""
+        raise NotImplementedError
+
+    def look(self, plane: Array) -> Any:
+        """Return what must be known of a whole plane; for subclasses."""
+        raise NotImplementedError
+
+    @property
+    def places(self) -> list[Tile]:
+        """Some planes each."""
+        return list(tiles((self.count,), (PLANES_EACH,), (0,)))
+
+    @property
+    def boxes(self) -> list[Box]:
+        """Rows and columns of every tile, row by row."""
+        return [tile.write for tile in tiles(self.shape[:2], (self.side, self.side), (0, 0))]
+
+    def do(self, k: int) -> dict[str, Any]:
+        """Copy some planes."""
+        here, said = self.places[k].write[0], []
+        aside = self._file(k).with_suffix(".part")
+        with aside.open("wb") as file:
+            for z in range(here.start, here.stop):
+                plane = self.plane(z)
+                said.append(self.look(plane))
+                for rows, columns in self.boxes:
+                    file.seek(self._place(z, rows, columns))
+                    file.write(np.ascontiguousarray(plane[rows, columns]).data)
+            file.flush()
+            os.fsync(file.fileno())
+        aside.replace(self._file(k))
+        return {"planes": said}
+
+    def looked(self) -> list[Any]:
+        """Return what is known of every plane."""
+        return [about for said in self.found() for about in said["planes"]]
+
+    def part(self, z: int, rows: slice, columns: slice) -> Array:
+        """Return a part of plane ``z``."""
+        part = np.empty((rows.stop - rows.start, columns.stop - columns.start, *self.shape[2:]), self.dtype)
+        for down in self._tiles(rows, self.shape[0]):
+            for right in self._tiles(columns, self.shape[1]):
+                both = _overlap(rows, down), _overlap(columns, right)
+                pixels = self._stored(z, down, right)
+                part[_within(both[0], rows), _within(both[1], columns)] = pixels[
+                    _within(both[0], down), _within(both[1], right)
+                ]
+        return part
+
+    def _tiles(self, along: slice, length: int) -> list[slice]:
+        starts = range(along.start // self.side * self.side, along.stop, self.side)
+        return [slice(start, min(start + self.side, length)) for start in starts]
+
+    def _stored(self, z: int, rows: slice, columns: slice) -> Array:
+        shape = (rows.stop - rows.start, columns.stop - columns.start, *self.shape[2:])
+        place = self._place(z, rows, columns)
+        return np.memmap(self._file(z // PLANES_EACH), self.dtype, "r", offset=place, shape=shape)
+
+    def _place(self, z: int, rows: slice, columns: slice) -> int:
+        """Return where in its file a tile of plane ``z`` begins."""
+        here = self.places[z // PLANES_EACH].write[0]
+        height, width = rows.stop - rows.start, columns.stop - columns.start
+        before = (here.stop - here.start) * (rows.start * self.shape[1] + columns.start * height)
+        each = int(np.prod(self.shape[2:])) * np.dtype(self.dtype).itemsize
+        return int((before + (z - here.start) * height * width) * each)
+
+    def _file(self, k: int) -> Path:
+        return self.folder / f"planes-{k}.raw"
 
 
 def _overlap(a: slice, b: slice) -> slice:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from processing.block_job import at_once, begun
 from processing.blockwise import MOST_PLANES, amount, fitted
+from processing.pieces import READ_BYTES
 from processing.resample import KEPT, NAME, TITLE, CubicPlanes, Method
 from processing.slabs import Slabs
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from processing.block_options import Blocks
     from processing.block_source import Source
 
-READ_BYTES, SUM_BYTES, WRITE_COPIES = 16, 16, 4  # of a pixel of an old plane, and of a new one
+SUM_BYTES, WRITE_COPIES = 16, 4  # of a pixel of a new plane
 
 
 @dataclass(frozen=True)
