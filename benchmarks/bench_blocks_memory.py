@@ -57,9 +57,7 @@ def apart(one: Path, other: Path) -> str:
     """Say how far two images are apart."""
     a, b = (tifffile.imread(path).astype(np.float32) for path in (one, other))
     away = np.abs(a - b)
-    return (
-        f"{one.name}: {np.mean(away > 0):.2g} of all values differ, by at most {away.max():.3g} of {b.max():.4g}"
-    )
+    return f"{one.name}: {np.mean(away > 0):.2g} of all values differ, by at most {away.max():.3g} of {b.max():.4g}"
 
 
 def main() -> int:
