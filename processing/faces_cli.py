@@ -70,6 +70,12 @@ def faces(
     sections = sorted({stored.layout.place(slot)[0] for slot in stored.planes})
     if not sections:
         raise InputError(f"{run} holds no plane yet.", fix="take the run first.", code="stack-empty")
+    if stored.layout.planes_each == 1:
+        raise InputError(
+            f"each section of {run} has one plane: there is nothing to choose.",
+            fix=f"the run is a volume as it is: stereotome measure {run}",
+            code="usage",
+        )
     stacks = [open_stack(run, channel=channel, time=section) for section in sections]
     depth_nm, notes = depths_nm(stored, sections)
     if len(sections) <= sections[-1]:

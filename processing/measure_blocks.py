@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
+import shutil
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -83,7 +84,8 @@ def by_blocks(
     last = Step("label.components", {"rule": question.rule, "least": question.smallest})
     planned = Pipeline((*first.steps, Step("mask.threshold", {"above": 0.0, "dark": question.dark}), last))
     about = {"threshold": question.threshold, "labels": question.labels}
-    with block_job(output, given, choices, planned, blocks, more=about, overwrite=overwrite, quiet=quiet) as going:
+    job = block_job(output, given, choices, planned, blocks, more=about, overwrite=overwrite, quiet=quiet)
+    with job as going, of_no_use_when_empty(going.work):
         going.run(first)
         volume = replace(stored, values=_layer(going, stored)) if first.steps else stored
         if question.labels:
@@ -94,6 +96,19 @@ def by_blocks(
         going.run(Pipeline((Step("mask.threshold", {"above": level, "dark": question.dark}), last)))
         _check_table(int(going.values["count"]), blocks.memory)
         yield Features(volume, known, level, _layer(going, stored))
+
+
+@contextmanager
+def of_no_use_when_empty(work: Path) -> Iterator[None]:
+    """Take blocks away when nothing is found in them: to go on with them would find that again."""
+    try:
+        yield
+    except InputError as error:
+        if error.code == "mask-empty":
+            shutil.rmtree(work)
+            with suppress(OSError):
+                work.parent.rmdir()  # made for them alone
+        raise
 
 
 def _layer(going: Blockwise, stored: GreyVolume) -> Lazy:

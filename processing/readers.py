@@ -150,10 +150,11 @@ def lay_out(axes: str, shape: Sequence[int], choice: Choice, source: Path, chann
     if "c" in fixed:
         fixed["c"] = channel
     notes = []
+    time = choose_time(1 if depth == "t" else size.get("t", 1), choice, source)
     if depth == "t":
         notes.append("the planes run along time; they are taken as focal planes.")
     elif size.get("t", 1) > 1:
-        fixed["t"] = choose_time(size["t"], choice, source)
+        fixed["t"] = time
         notes.append(f"time point {fixed['t']} of 0 … {size['t'] - 1}; another one: --time N.")
     return Layout(axes, depth, fixed, size.get(depth, 1), tuple(notes))
 
@@ -204,8 +205,8 @@ def choose_time(count: int, choice: Choice, source: Path) -> int:
     time = choice.time or 0
     if not 0 <= time < count:
         raise InputError(
-            f"{source} has no time point {time}; it has 0 … {count - 1}.",
-            fix="choose one of these: --time N",
+            f"{source} has no time point {time}; it has {f'0 … {count - 1}' if count > 1 else 'one, number 0'}.",
+            fix="choose one of these: --time N" if count > 1 else "leave out --time",
             code="stack-time",
         )
     return time

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from devices.errors import InputError
-from processing.readers import Choice, Recording, choose_channel, damaged, reading
+from processing.readers import Choice, Recording, choose_channel, choose_time, damaged, reading
 from processing.readers_mm import beside
 from processing.readers_tiff import read_tiff
 
@@ -95,6 +95,7 @@ def read_files(files: Sequence[Path], choice: Choice, source: Path) -> Recording
     """
     if len(files) == 1 and is_tiff(files[0]):
         return read_tiff(files[0], choice)
+    choose_time(1, choice, source)
     series, left_out = choose_series(series_of(files), choice, source)
     notes = [f"left out, not of the series {series.name}: {', '.join(left_out)}."] if left_out else []
     places, gap = _places(series)

@@ -52,6 +52,8 @@ def read_run(folder: Path, choice: Choice) -> Recording:
 def _chosen(run: StoredRun, choice: Choice) -> tuple[range, str, list[str]]:
     """Return the sections whose planes make the stack, along what they lie, and what to say."""
     layout, cut = run.layout, is_cut(run)
+    if layout.sections == 1 or layout.planes_each == 1:
+        choose_time(1, choice, run.folder)
     if layout.sections == 1:
         return range(1), "stack", []
     if layout.planes_each == 1:

@@ -119,6 +119,7 @@ def test_what_cannot_be_measured_block_by_block_is_told(words: list[str], code: 
     np.save(tmp_path / "grey.npy", GREY)
     assert measure(tmp_path / "grey.npy", tmp_path / "out", *words) == 2
     assert capsys.readouterr().err.count(f"error[{code}]") == 1
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_table_that_takes_too_much_memory_is_refused(tmp_path: Path, monkeypatch, capsys) -> None:

@@ -148,3 +148,10 @@ def test_planes_closer_than_the_stage_can_tell_lie_where_it_was_sent(tmp_path: P
     assert stack.z_um == pytest.approx([0.0, 0.05, 0.1, 0.2])
     assert any("placed where it was sent" in note for note in stack.notes)
     assert load_volume(tmp_path / "run").bands[0].values[0, 0, 0] == 400, "the highest plane is nearest to the viewer"
+
+
+def test_sections_of_one_plane_are_a_volume_already(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="has one plane"):
+        faces(take(tmp_path / "run"), output=tmp_path / "out")
+    with pytest.raises(InputError, match="no time point 2"):
+        open_stack(tmp_path / "run", time=2)

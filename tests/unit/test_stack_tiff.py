@@ -66,6 +66,19 @@ def test_colour_whichever_way_it_is_stored(tmp_path: Path, planar: str) -> None:
     assert np.array_equal(pixels_of(tmp_path / "a.tif"), colour)
 
 
+@pytest.mark.parametrize("axes", ["ZYX", "TYX"])
+def test_a_time_that_is_not_there_is_refused_where_no_axis_is_time_and_where_the_planes_are(
+    axes: str, tmp_path: Path
+) -> None:
+    tifffile.imwrite(tmp_path / "a.ome.tif", np.zeros((3, 5, 6), np.uint16), metadata={"axes": axes})
+    np.save(tmp_path / "a.npy", np.zeros((3, 5, 6), np.uint16))
+    for name in ("a.ome.tif", "a.npy"):
+        assert len(open_stack(tmp_path / name, time=0)) == 3
+        with pytest.raises(InputError, match="no time point 1; it has one") as caught:
+            open_stack(tmp_path / name, time=1)
+        assert caught.value.code == "stack-time"
+
+
 def test_hyperstack_takes_one_channel_and_time(tmp_path: Path) -> None:
     data = np.arange(2 * 3 * 4 * 5 * 6, dtype=np.uint16).reshape(2, 3, 4, 5, 6)
     tifffile.imwrite(tmp_path / "a.tif", data, imagej=True, metadata={"axes": "TZCYX"})
