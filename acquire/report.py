@@ -90,10 +90,11 @@ class Teller:
         self._anchor_s: float | None = None
         self._anchor_at_s = 0.0
         self._now_s = 0.0
+        self._depth_nm: float | None = None
         self.sections: dict[int, SectionStory] = {}
         self.events: list[Event] = []
         self._hears: dict[str, Callable[[Record], str | None]] = {
-            "origin": lambda r: f"the feed stands at {r['depth_nm'] / 1000:.3f} µm, the knife counted {r['cuts']} cuts",
+            "origin": self._stood,
             "feed_done": self._fed,
             "cut_done": self._cut,
             "feed_not_done": lambda r: f"section {r['section']}: a look at the feed shows that it was not fed",
@@ -144,12 +145,16 @@ class Teller:
         number = record["section"]
         return self.sections.setdefault(number, SectionStory(number))
 
+    def _stood(self, record: Record) -> str:
+        self._depth_nm = record["depth_nm"]
+        return f"the feed stands at {record['depth_nm'] / 1000:.3f} µm, the knife counted {record['cuts']} cuts"
+
     def _fed(self, record: Record) -> str | None:
-        section = self._section(record)
-        section.depth_um = record["readback_nm"] / 1000
-        before = self.sections.get(section.section - 1)
-        if before is not None and before.depth_um is not None:
-            section.removed_nm = round(1000 * (section.depth_um - before.depth_um), 1)
+        section, depth_nm = self._section(record), record["readback_nm"]
+        section.depth_um = depth_nm / 1000
+        if self._depth_nm is not None:
+            section.removed_nm = round(depth_nm - self._depth_nm, 1)
+        self._depth_nm = depth_nm
         return self._recovered(record, "was fed")
 
     def _cut(self, record: Record) -> str | None:
