@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 IDLE = "IDLE"
 LOOK_EVERY_S = 0.2
+TELL_EVERY_S = 0.5
 FEED_EVERY = 5  # looks at the stage for one at the feed
 AGAIN_S = 0.1  # a stop is said again while the motion it met goes on
 AGAIN = 5
@@ -65,8 +66,10 @@ class Host:
         self._lanes = {name: Lane(name, clock) for name in ("motion", "camera", "run")}
         self._over = threading.Event()
         self._look_now = threading.Event()
-        self._watch = threading.Thread(target=self._look, name="look", daemon=True)
-        self._watch.start()
+        self._tell_now = threading.Event()
+        self._watches = [threading.Thread(target=do, name=do.__name__, daemon=True) for do in (self._look, self._tell)]
+        for watch in self._watches:
+            watch.start()
 
     @property
     def state(self) -> str:
@@ -164,7 +167,9 @@ class Host:
             lane.close()
         self._over.set()
         self._look_now.set()
-        self._watch.join()
+        self._tell_now.set()
+        for watch in self._watches:
+            watch.join()
         self.live.close()
 
     def _carry_out(self, request: requests.AnyRequest) -> replies.AnyReply:
@@ -321,7 +326,7 @@ class Host:
                 log.warning("live: %s", error.what)
 
     def _look(self) -> None:
-        """Read the devices now and then while they are free, and tell every change, at least once a second."""
+        """Read the devices now and then while they are free."""
         looks = 0
         while not self._over.is_set():
             self._look_now.wait(LOOK_EVERY_S)
@@ -329,6 +334,13 @@ class Host:
             if not self.run.active and not self._run_comes:
                 self._read(with_feed=looks % FEED_EVERY == 0)
             looks += 1
+            self._tell_now.set()
+
+    def _tell(self) -> None:
+        """Tell how things stand after every look, and while a look waits for a device that does not answer."""
+        while not self._over.is_set():
+            self._tell_now.wait(TELL_EVERY_S)
+            self._tell_now.clear()
             self._telemetry.tell("state", self.now())
 
     def _read(self, *, with_feed: bool) -> None:

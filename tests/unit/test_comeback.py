@@ -43,7 +43,11 @@ def truth_um(bench):
 
 
 def gone(instrument):
+    """Wait until three questions are left unanswered; meanwhile the process goes on to tell how things stand."""
+    told = []
+    instrument.listen(lambda news: told.append(getattr(news, "z_age_s", 0.0)))
     instrument.wait_for(lambda state: state.z_age_s > AWAY_S, PATIENCE_S)
+    assert sum(1.0 < age_s < AWAY_S for age_s in told) >= 3
 
 
 def back(instrument):
