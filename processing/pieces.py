@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 ROWS = 256  # of a picture that are put together at once
 PLANES_EACH = 8  # that are copied by one part
-READ_BYTES = 32  # of each value of a plane while it is read, mapped to 16 bit, looked at, written with its pyramid
+READ_BYTES = 16  # of each value of a plane while it is read and looked at; what opening the first took is counted, too
 
 
 @dataclass(frozen=True)
