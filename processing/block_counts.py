@@ -12,7 +12,7 @@ import zarr
 from devices.errors import InputError
 from processing.labels import MOST_LABELS, components
 from processing.parts import joined, touching
-from processing.slabs import Stage
+from processing.slabs import LocalSteps, Stage
 from processing.thresholds import found, histogram
 from processing.volume_filters import checked
 
@@ -61,17 +61,18 @@ class Counts(Stage):
 
 
 @dataclass(frozen=True)
-class SlabLabels(Stage):
-    """Connected parts numbered in each slab for itself."""
+class SlabLabels(LocalSteps):
+    """Connected parts numbered in each slab for itself, after steps that make what is labelled."""
 
     rule: int = 26
     by_value: bool = False
 
     def compute(self, tile: Tile) -> tuple[dict[str, Array], dict[str, Any]]:
         """Give the parts of a slab numbers of their own."""
-        volume = self.volumes.read(["volume"], tile.read[0])["volume"]
-        labels, count = components(volume, rule=self.rule, by_value=self.by_value)
-        return {"volume": labels}, {"count": int(count), "sizes": np.bincount(labels.ravel()).tolist()[1:]}
+        made, said = super().compute(tile)
+        labels, count = components(made["volume"], rule=self.rule, by_value=self.by_value)
+        parts = {"parts": int(count), "sizes": np.bincount(labels.ravel()).tolist()[1:]}
+        return {**made, "volume": labels}, {"steps": said, **parts}
 
     def merge(self, least: int, kept: Path) -> int:
         """Find which parts of neighbouring slabs are one, and keep a number for each; returns how many there are.
@@ -91,7 +92,7 @@ class SlabLabels(Stage):
             ``label-overflow``: more parts than 32 bits can count.
         """
         said = self.found()
-        begins = np.concatenate([[0], np.cumsum([s["count"] for s in said])])
+        begins = np.concatenate([[0], np.cumsum([s["parts"] for s in said])])
         total = int(begins[-1])
         if total > MOST_LABELS:
             raise InputError(

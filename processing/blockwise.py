@@ -279,8 +279,12 @@ class Blockwise:
             if step.halo is not None:
                 local.append(step)
                 continue
-            self._take(local)
-            local = self._count_all(step)
+            if step.name == "label.components":
+                self._label(step.operator.settings(step.params), local)
+                local = []
+            else:
+                self._take(local)
+                local = [self._counted(step)]
         self._take(local)
         return dict(self.volumes.made)
 
@@ -290,43 +294,54 @@ class Blockwise:
         stack = next(iter(self.volumes.given.stacks.values()))[0]
         return len(stack), stack.shape[0], stack.shape[1]
 
-    def _count_all(self, step: Step) -> list[Step]:
-        """Find what a step must know of the whole volume; returns what is left to do slab by slab."""
-        settings = step.operator.settings(step.params)
-        if step.name == "label.components":
-            self._label(settings)
-            return []
-        limits = None
+    def _counted(self, step: Step) -> Step:
+        """Find the threshold of the whole volume; returns the step that takes it, slab by slab."""
+        settings, limits = step.operator.settings(step.params), None
         if self.types["volume"] == "float32":
             limits = self._done("limits", Limits(*self._place("limits"))).limits()
         counts = self._done("counts", Counts(*self._place("counts"), limits))
-        return [replace(step, params={**settings, "above": counts.threshold(settings["method"])})]
+        return replace(step, params={**settings, "above": counts.threshold(settings["method"])})
 
-    def _label(self, settings: dict[str, Any]) -> None:
-        outs = (("volume", self._layout("uint32")),)
-        parts = SlabLabels(*self._place("parts", outs), settings["rule"], settings["by_value"])
-        self._done("numbering parts", parts)
+    def _label(self, settings: dict[str, Any], before: list[Step]) -> None:
+        """Give connected parts their numbers, in what the steps before make of each slab."""
+        if settings["by_value"]:  # values are looked at across slabs: they must have been written
+            self._take(before)
+            before = []
+        made = {**self._types_of(before), "volume": "uint32"}
+        how = {name: settings[name] for name in ("rule", "by_value")}
+        parts = SlabLabels(*self._local("parts", before, made), **how)
+        self._done(" ".join([*(step.name for step in before), "numbering parts"]), parts)
         numbers = parts.folder / "numbers.npy"
         count = parts.merge(settings["least"], numbers)
-        begins = np.cumsum([0, *(said["count"] for said in parts.found())])
-        self._keep(parts, {"volume": "uint32"})
+        begins = np.cumsum([0, *(said["parts"] for said in parts.found())])
+        self._keep(parts, made)
+        outs = (("volume", self._layout("uint32")),)
         last = Renumber(*self._place("labels", outs), numbers, tuple(begins.tolist()))
         self._keep(self._done("joining parts", last), {"volume": "uint32"})
-        self.values["count"] = count
+        self.values |= {**parts.found()[0]["steps"], "count": count}
 
     def _take(self, steps: list[Step]) -> None:
         """Take steps that look no further than their halos."""
         if not steps:
             return
+        made = self._types_of(steps)
+        stage = LocalSteps(*self._local("steps", steps, made))
+        self._keep(self._done(" ".join(step.name for step in steps), stage), made)
+        self.values |= stage.found()[0]
+
+    def _types_of(self, steps: list[Step]) -> dict[str, str]:
+        """Return the number types of the layers that steps make."""
         made: dict[str, str] = {}
         for step in steps:
             types = {**self.types, **made}
             made |= {g.name: types.get(g.dtype, g.dtype) for g in step.operator.gives if g.shape}
-        takes = [name for step in steps for name in step.operator.takes if name in self.types]
-        outs = tuple((name, self._layout(dtype)) for name, dtype in made.items())
-        stage = LocalSteps(*self._place("steps", outs), Pipeline(tuple(steps)), tuple(dict.fromkeys(takes)))
-        self._keep(self._done(" ".join(step.name for step in steps), stage), made)
-        self.values |= stage.found()[0]
+        return made
+
+    def _local(self, name: str, steps: list[Step], made: dict[str, str]) -> tuple[Any, ...]:
+        """Return what a stage that takes steps is made of."""
+        takes = [layer for step in steps for layer in step.operator.takes if layer in self.types] or ["volume"]
+        outs = tuple((layer, self._layout(dtype)) for layer, dtype in made.items())
+        return *self._place(name, outs), Pipeline(tuple(steps)), tuple(dict.fromkeys(takes))
 
     def _place(self, name: str, outs: Outs = ()) -> tuple[Path, tuple[int, int, int], int, Outs, Volumes]:
         """Return folder, sizes and input of the next stage."""
