@@ -34,6 +34,7 @@ class RingViewer:
         self._where = where
         self._clock = clock
         self._reader: RingReader | None = None
+        self._refused = ""
         self.received = 0
         self.lost = 0
 
@@ -71,7 +72,9 @@ class RingViewer:
                 self._reader = RingReader.attach(Path(where), "latest", clock=self._clock)
                 self._reader.look_back()
             except StoreError as error:  # it ended a moment ago, or has no room for another reader
-                log.info("%s", error.what)
+                if where != self._refused:  # it is tried again at every look
+                    self._refused = where
+                    log.info("%s", error.what)
         return self._reader
 
     def _read(self, reader: RingReader, timeout_s: float) -> Frame | None:

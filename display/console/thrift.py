@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-FULL_HZ, LEAST_HZ = 30.0, 4.0
-SHARE = 0.25  # of a core; with a graphics processor a frame takes so little of one that 30 a second fit into it
+FULL_HZ, LEAST_HZ = 30.0, 1.0
+SHARE = 0.1  # of a core; with a graphics processor a frame takes so little of one that 30 a second fit into it
 FOLLOW = 0.2
 
 

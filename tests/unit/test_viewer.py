@@ -51,6 +51,16 @@ def test_one_that_comes_late_sees_what_there_is(tmp_path, clock):
             assert viewer.newest(0) is None
 
 
+def test_a_ring_that_is_gone_is_told_once_however_often_it_is_looked_for(tmp_path, clock, caplog):
+    caplog.set_level("INFO")
+    gone = [str(tmp_path / "a.ring"), str(tmp_path / "b.ring")]
+    with RingViewer(lambda: gone[0], clock) as viewer:
+        assert [viewer.newest(0) for _ in range(5)] == [None] * 5
+        gone.pop(0)
+        assert viewer.newest(0) is None
+    assert [record.message.split("/")[-1].split()[0] for record in caplog.records] == ["a.ring", "b.ring"]
+
+
 def test_it_follows_to_another_ring_of_another_geometry(tmp_path, clock):
     now = ""
     with RingViewer(lambda: now, clock) as viewer:
