@@ -252,8 +252,12 @@ class ModbusFeed:
         return self.resolve()
 
     def reconnect(self) -> FeedState:
-        """Connect anew after the line was lost, make sure who is there, and look."""
+        """Connect anew after the line was lost, make sure who is there, and look.
+
+        A drive that does not tell whether it was homed may have been off: it is homed again before anything moves.
+        """
         self._cycle.enter(S.UNKNOWN)
+        self._referenced = False
         self._bus.reopen()
         self.identify()
         return self.state
