@@ -3,13 +3,14 @@
 import json
 import signal
 import subprocess
-from contextlib import closing, contextmanager
+from contextlib import closing
 
 import pytest
 from sections import BENCH
 from served import served
-from wires import PROGRAM, Result, stereotome
+from wires import PROGRAM, Result
 
+from acquire.requests import CutSection
 from devices.cli import run
 from sim.pytest_plugin import SimBench
 
@@ -57,13 +58,13 @@ def counters(bench):
     return bench.ask(do="truth")["counters"]["feed"]
 
 
-def test_a_section_is_approached_fed_cut_and_left(at, bench, server):
+def test_a_section_is_approached_fed_cut_and_left(at, bench):
     assert told(at("section", "approach", 20, "--json"))["depth_nm"] == pytest.approx(20_000, abs=2)
     before = counters(bench)
     fed = told(at("section", "feed", 500, "--json"))
     assert (fed["depth_nm"], fed["cuts"]) == (pytest.approx(20_500, abs=2), before["cuts"])
     assert counters(bench)["feeds"] == before["feeds"] + 1
-    cut = stereotome("control", "section", "cut", "--stage-is-parked", "--server", server.connection)
+    cut = at("section", "cut", "--stage-is-parked")
     assert (cut.code, f"knife: clear, {before['cuts'] + 1} cuts counted" in cut.out) == (0, True)
     assert counters(bench)["cuts"] == before["cuts"] + 1
     assert at("section", "retract", "--knife").code == 0
@@ -110,22 +111,20 @@ def test_no_cut_is_made_unless_the_stage_reads_its_park_position(at, bench):
     assert at("move", PARK_UM).code == 0
 
 
-@contextmanager
-def cutting(bench, server):
-    """A cut under way: given from another process, its stroke begun."""
-    words = [*PROGRAM, "control", "section", "cut", "--stage-is-parked", "--server", str(server.connection)]
-    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as cut:
-        while counters(bench)["knife"] != "cutting":
-            assert cut.poll() is None, cut.stderr.read()
-        yield cut
+def until_it_cuts(bench, fine):
+    while counters(bench)["knife"] != "cutting":
+        assert fine()
 
 
 def test_while_the_knife_is_out_the_stage_goes_nowhere_but_to_its_park_position(at, bench, server):
     before = counters(bench)["cuts"]
-    with cutting(bench, server) as cut:
+    with server.client() as client:
+        client.command()
+        client.arm_knife()
+        cut = client.ask(CutSection(expect_section=before))
+        until_it_cuts(bench, lambda: not cut.done())
         assert at("stop").code == 0
-        _, said = cut.communicate()
-    assert (cut.returncode, "error[feed-halted]" in said) == (4, True), said
+        assert cut.exception().code == "feed-halted"
     assert at("release").code == 0
     refused = at("jog", 1)
     assert (refused.code, "not clear. The stage stays where it is" in refused.err) == (5, True), refused.err
@@ -140,7 +139,9 @@ def test_while_the_knife_is_out_the_stage_goes_nowhere_but_to_its_park_position(
 def test_a_cut_whose_answer_is_lost_is_told_to_be_unknown_and_not_made_again(bench, server):
     """The last of these tests: it kills the instrument's process in the middle of a stroke."""
     before = counters(bench)["cuts"]
-    with cutting(bench, server) as cut:
+    words = [*PROGRAM, "control", "section", "cut", "--stage-is-parked", "--server", str(server.connection)]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as cut:
+        until_it_cuts(bench, lambda: cut.poll() is None)
         server.process.send_signal(signal.SIGKILL)
         _, said = cut.communicate()
     assert (cut.returncode, "error[feed-undecided]" in said) == (5, True), said
