@@ -9,7 +9,7 @@ import numpy as np
 
 from processing.features import add_up
 from processing.labels import components
-from processing.measure_plots import BORDER, INSIDE, LINE, plotted
+from processing.measure_plots import BORDER, INSIDE, LINE, entitled, plotted
 from processing.planes import slabs
 from processing.result_folder import csv_bytes
 from processing.unfold import CLASSES, Unfolded, unfold
@@ -111,12 +111,12 @@ def _drawn(sizes: BallSizes, unit: str) -> dict[str, bytes]:
     def draw(axes: Axes) -> None:
         edges = sizes.found.edges_um
         middle, width = (edges[1:] + edges[:-1]) / 2, float(edges[1] - edges[0])
-        axes.bar(middle, sizes.direct_per_um3, 0.9 * width, color="#cccccc", label="measured directly")
+        axes.bar(middle, sizes.direct_per_um3, 0.9 * width, color="#cccccc", label="direct")
         bars = sizes.found.error_per_um3
         axes.errorbar(middle, sizes.found.per_um3, bars, fmt="o", color=INSIDE, markersize=3, label="from circles")
         axes.plot(middle, sizes.textbook.per_um3, "x", color=BORDER, markersize=4, label="Saltykov")
         axes.axvline(sizes.found.mean_um, color=LINE, linewidth=0.8)
-        axes.set(xlabel=f"diameter, {unit}", ylabel=f"per {unit}³ and class", title="Sizes of balls")
-        axes.legend(loc="upper right")
+        axes.set(xlabel=f"diameter, {unit}", ylabel=f"per {unit}³ and class")
+        entitled(axes, "Sizes of balls")
 
     return plotted(draw, "ball_sizes")

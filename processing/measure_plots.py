@@ -117,6 +117,13 @@ def plotted(draw: Callable[[Axes], None], name: str) -> dict[str, bytes]:
     return {f"{name}.png": png.getvalue(), f"{name}.svg": svg.getvalue()}
 
 
+def entitled(axes: Axes, title: str) -> None:
+    """Write title and key above a plot, where they cover nothing."""
+    axes.set_title(title, loc="left")
+    narrow = {"borderpad": 0.2, "columnspacing": 0.8, "handlelength": 1.2, "handletextpad": 0.4}
+    axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False, **narrow)
+
+
 def grey_histogram(counts: Array, values: Array, threshold: float) -> dict[str, bytes]:
     """Draw the histogram of grey values with the threshold."""
 
@@ -125,8 +132,8 @@ def grey_histogram(counts: Array, values: Array, threshold: float) -> dict[str, 
         part = slice(there[0], there[-1] + 1)
         axes.fill_between(values[part], counts[part], step="mid", color="#999999")
         axes.axvline(threshold, color=LINE, label=f"threshold {threshold:.5g}")
-        axes.set(yscale="log", xlabel="grey value", ylabel="voxels", title="Grey values and threshold")
-        axes.legend(loc="upper right")
+        axes.set(yscale="log", xlabel="grey value", ylabel="voxels")
+        entitled(axes, "Grey values and threshold")
 
     return plotted(draw, "grey_values")
 
@@ -139,9 +146,9 @@ def size_histogram(diameters: Array, at_border: NDArray[np.bool_], unit: str) ->
         ends = (np.geomspace(low, high, 25) if wide else np.linspace(low, high if high > low else low + 1, 25)).tolist()
         parts = [diameters[~at_border], diameters[at_border]]
         axes.hist(parts, ends, stacked=True, color=[INSIDE, BORDER], label=KINDS)
-        axes.set(ylabel="features", title="Sizes")
+        axes.set(ylabel="features")
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-        axes.legend(loc="upper right")
+        entitled(axes, "Sizes")
 
     return plotted(draw, "sizes")
 
