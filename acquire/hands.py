@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from acquire.interlock import arbiter_of
 from acquire.replies import Depth, FeedView, Position
-from devices.errors import DeviceError, RigError, Unsafe
+from devices.errors import DeviceError, LinkLost, RigError, Unsafe
 from devices.protocols import Microtome
 from devices.travel import CanZero, travel
 from devices.values import to_nm
@@ -27,6 +27,15 @@ class TellsState(Protocol):
     @property
     def state(self) -> FeedState:
         """Where it stands."""
+        ...
+
+
+@runtime_checkable
+class MetAnew(Protocol):
+    """A feed that can be met anew after its line was lost; nothing moves."""
+
+    def reconnect(self) -> FeedState:
+        """Open the line, make sure who is there, and look."""
         ...
 
 
@@ -62,12 +71,12 @@ class Hands:
 
     def home(self) -> Depth:
         """Let the feed search its reference."""
-        self._feed()[1].home()
+        self._feed_seen().home()
         return self._depth()
 
     def retract(self) -> Depth:
         """Bring the knife out, then look: a feed that was in doubt is ready again if nothing speaks against it."""
-        _, by_hand = self._feed()
+        by_hand = self._feed_seen()
         by_hand.abort()
         by_hand.resolve()
         return self._depth()
@@ -112,6 +121,17 @@ class Hands:
                 "this instrument has no feed.", fix="add [microtome] to the instrument file: docs/microtome.md"
             )
         return feed, feed
+
+    def _feed_seen(self) -> Microtome:
+        """Return the feed after a look, met anew if its line was lost: for what may be done whatever its state."""
+        feed, by_hand = self._feed()
+        try:
+            by_hand.resolve()
+        except LinkLost:
+            if not isinstance(feed, MetAnew):
+                raise
+            feed.reconnect()
+        return by_hand
 
     def _depth(self) -> Depth:
         feed, _ = self._feed()

@@ -136,6 +136,22 @@ def test_while_the_knife_is_out_the_stage_goes_nowhere_but_to_its_park_position(
     assert counters(bench)["cuts"] == before + 1
 
 
+def test_a_feed_that_was_unplugged_is_met_anew_when_its_knife_is_brought_out(at, bench):
+    before = counters(bench)
+    bench.ask(do="unplug", device="feed")
+    assert "error[device-lost]" in at("section", "feed", 500).err
+    bench.ask(do="replug", device="feed")
+    assert "error[device-lost]" in at("section", "feed", 500).err
+    assert "feed: ready" in at("section", "retract", "--knife").out
+    assert counters(bench) == before
+    assert at("section", "feed", 500).code == 0
+    bench.ask(do="power-cycle", device="feed")
+    assert "feed: idle" in at("section", "retract", "--knife").out
+    assert "it is idle, not ready" in at("section", "feed", 500).err
+    assert at("section", "home", "--yes").code == 0
+    assert at("section", "feed", 500).code == 0
+
+
 def test_a_cut_whose_answer_is_lost_is_told_to_be_unknown_and_not_made_again(bench, server):
     """The last of these tests: it kills the instrument's process in the middle of a stroke."""
     before = counters(bench)["cuts"]
