@@ -19,6 +19,7 @@ from processing.blockwise import (
     plan_slabs,
     prepare,
 )
+from processing.outputs import disk_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -123,14 +124,19 @@ def begun(
     ------
     InputError
         ``blocks-left``, ``blocks-other``, ``scheduler``.
+    StoreError
+        ``disk-full`` or ``store``: the disk refused; parts that are done stay.
     """
     work = output / WORK
     plan = prepare(work, {**job, "memory": blocks.memory}, plan, resume=blocks.resume, overwrite=overwrite)
     with runner(blocks.scheduler, workers) as running:
 
         def do(title: str, parts: Marked) -> None:
-            parts.make_ready()
-            with progress(title, len(parts.places), quiet=quiet) as show:
-                running.run(parts, show)
+            try:
+                parts.make_ready()
+                with progress(title, len(parts.places), quiet=quiet) as show:
+                    running.run(parts, show)
+            except OSError as error:  # of what is written: what cannot be read is named by its reader
+                raise disk_error(output, error, "What is done is kept: go on with --resume.") from None
 
         yield Going(work.absolute(), plan, do)

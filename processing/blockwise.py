@@ -144,6 +144,13 @@ def fitted(
 
 
 GLOBAL = ("mask.threshold", "label.components")
+COMMANDS = {"focus.": "focus", "deblur.": "deblur", "volume.cubic": "resample"}
+
+
+def other_command(operator: str) -> list[str]:
+    """Name the command that does block by block what an operator does in memory."""
+    found = [command for family, command in COMMANDS.items() if operator.startswith(family)]
+    return [f"do that alone: stereotome process {command} STACK -o DIR --memory 2GB" for command in found]
 
 
 def check_blockwise(pipeline: Pipeline) -> int:
@@ -161,6 +168,7 @@ def check_blockwise(pipeline: Pipeline) -> int:
                 f"{step.name} looks at the whole volume and cannot go block by block.",
                 why=f"Filters, morphology and arithmetic can, and {', '.join(GLOBAL)}.",
                 fix=(
+                    *other_command(step.name),
                     "leave out --memory and --scheduler",
                     "make the volume smaller first: stereotome process resample",
                 ),

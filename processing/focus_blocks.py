@@ -304,8 +304,8 @@ class Focusing:
 
     def done(self, register: bool | Literal["auto"]) -> InPieces:  # noqa: FBT001  as above
         """Do all of it."""
-        matching = self._did("matching planes", Registering(self._at("registering"), self.source, register))
-        told = matching.found()[0]
+        matching = Registering(self._at("registering"), self.source, register)
+        told = self._did("matching planes", matching).said(0) if register else matching.do(0)
         ranges = self._measured(tuple(Placement(**p) for p in told["placements"]))
         width = ranges.curve_width()
         soft, z = self.options["method"] == "transparent", np.array(ranges.z)

@@ -271,17 +271,17 @@ def write_durably(path: Path, content: bytes | memoryview) -> None:
         os.fsync(file.fileno())
 
 
-def disk_error(folder: Path, error: OSError) -> StoreError:
-    """Return the words for a disk that refused to take results."""
+def disk_error(folder: Path, error: OSError, kept: str = "No result was kept.") -> StoreError:
+    """Return the words for a disk that refused to take results; ``kept`` says what became of them."""
     if error.errno in FULL:
         nearest = next(p for p in (folder, *folder.absolute().parents) if p.exists())
         free_mb = shutil.disk_usage(nearest).free / 1e6
         return StoreError(
-            f"the disk of {folder} is full: {free_mb:.0f} MB are free. No result was kept.",
+            f"the disk of {folder} is full: {free_mb:.0f} MB are free. {kept}",
             fix=("free some space", "choose another folder: -o DIR"),
             code="disk-full",
         )
     return StoreError(
-        f"cannot write to {folder}: {os.strerror(error.errno or 0)}. No result was kept.",
+        f"cannot write to {folder}: {os.strerror(error.errno or 0)}. {kept}",
         fix="choose a folder you may write to: -o DIR",
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -15,6 +16,7 @@ import zarr
 from scipy import ndimage
 
 from devices.cli import run
+from devices.errors import StoreError
 from processing import (
     block_runners,
     blockwise,
@@ -24,6 +26,7 @@ from processing import (
     marked,
     outputs,
     resample_blocks,
+    slabs,
 )
 from processing.pictures import preview
 from processing.pieces import percentiles, ranked
@@ -336,3 +339,51 @@ def test_resampling_that_was_left_goes_on(uneven: Path, monkeypatch, capsys) -> 
 def test_too_little_memory_for_a_plane_is_told(memory: str, code: str, uneven: Path, capsys) -> None:
     assert process("resample", uneven / "grey.npy", uneven / "out", *SIZES, "--memory", memory) == 2
     assert capsys.readouterr().err.count(f"error[{code}]") == 1
+
+
+def test_a_full_disk_is_told_and_what_is_done_is_gone_on_with(uneven: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr(resample_blocks, "MOST_PLANES", 1)
+    monkeypatch.setattr(resample_blocks, "at_once", lambda _: 1)
+    words = [*SIZES, "--method", "bin", "--memory", "100GB"]
+    honest, done = slabs.write_plane, []
+
+    def write_plane(image, layout, k, plane):
+        if len(done) == 4:
+            raise OSError(errno.ENOSPC, "no space")
+        done.append(k)
+        honest(image, layout, k, plane)
+
+    monkeypatch.setattr(slabs, "write_plane", write_plane)
+    assert process("resample", uneven / "grey.npy", uneven / "out", *words) == StoreError.exit_code
+    said = capsys.readouterr().err
+    assert "disk-full" in said
+    assert "--resume" in said
+    monkeypatch.setattr(slabs, "write_plane", lambda *a: done.append(a[2]) or honest(*a))
+    assert process("resample", uneven / "grey.npy", uneven / "out", *words, "--resume") == 0
+    assert sorted(done) == list(range(7))
+
+
+@pytest.mark.parametrize("command", ["focus", "resample"])
+def test_a_store_that_is_half_written_is_one_clear_line(command: str, uneven: Path, capsys) -> None:
+    assert process("resample", uneven / "grey.npy", uneven / "made", *SIZES) == 0
+    image = uneven / "made" / "resampled.ome.zarr"
+    shard = next(path for path in sorted((image / "0" / "c").rglob("0/3/0/0")) if path.is_file())
+    shard.write_bytes(shard.read_bytes()[:-9])
+    capsys.readouterr()
+    assert process(command, image, uneven / "out", "--memory", "100GB") == 2
+    assert capsys.readouterr().err.count("error[input-damaged]") == 1
+
+
+def test_operators_that_have_a_command_of_their_own_name_it(uneven: Path, capsys) -> None:
+    words = [
+        "process",
+        "volume",
+        "volume.cubic",
+        str(uneven / "grey.npy"),
+        "-o",
+        str(uneven / "out"),
+        "--memory",
+        "1GB",
+    ]
+    assert run([*words, *SIZES]) == 2
+    assert "process resample STACK" in capsys.readouterr().err
