@@ -13,9 +13,20 @@ from devices.clock import SystemClock
 from devices.commands import described_ports
 from devices.config_commands import check_text
 from devices.errors import InputError, StereotomeError
-from devices.init_rig import LIMITS_UM, NOBODY_KNOWN, SOURCES, USUAL_BAUD, USUAL_LIMITS_UM, Bench, remark, rig_text
+from devices.init_rig import (
+    LIMITS_UM,
+    NOBODY_KNOWN,
+    SOURCES,
+    USUAL_BAUD,
+    USUAL_LIMITS_UM,
+    Bench,
+    note_bit_depth,
+    remark,
+    rig_text,
+)
 from devices.probe import BAUDS, probe_port
 from devices.registry import drivers
+from devices.rig import load_rig, open_rig
 from processing.outputs import write_durably
 
 if TYPE_CHECKING:
@@ -73,6 +84,7 @@ class Setup:
     ports: list[dict[str, Any]] = field(default_factory=list)
     doing: str = ""
     words: str = ""
+    _noted: str = ""  # the file as it was written last, with what its camera told
     _thread: threading.Thread | None = None
 
     @property
@@ -168,9 +180,12 @@ class Setup:
     def _write_and_start(self) -> None:
         path, text = Path(self.file), self.text()
         check_text(text, path.name)
-        if path.exists() and path.read_text(encoding="utf-8") != text:
+        if path.exists() and path.read_text(encoding="utf-8") not in (text, self._noted):
             raise InputError(f"{path} exists already.", fix="choose another name", code="output-exists")
         write_durably(path, text.encode())
+        with open_rig(load_rig(path), clock=SystemClock()) as rig:
+            note_bit_depth(path, rig.camera.caps().bit_depth)
+        self._noted = path.read_text(encoding="utf-8")
         self._serve(path)
 
     def _serve(self, path: Path | None) -> None:

@@ -26,6 +26,7 @@ def test_the_first_start_finds_the_devices_and_writes_an_instrument_file(drive, 
     assert code == 0, said
     written = load_rig(tmp_path / "my-bench.toml")
     assert (written.stage.z.driver, written.stage.z.baud) == ("asi-ms2000", 115200)
+    assert "\nbit_depth = 12\n" in (tmp_path / "my-bench.toml").read_text()
 
 
 @pytest.mark.parametrize(
