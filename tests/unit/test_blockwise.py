@@ -174,6 +174,10 @@ def test_a_pyramid_halves_pixels_and_says_where_they_lie(dtype: str, tmp_path: P
     assert [s[1]["translation"][-1] for s in scales] == [0.0, 0.25, 0.75]
 
 
+STACKS = {"deblur": ["--na", "0.8", "--wavelength-um", "0.5", "--steps", "3"], "resample": []}
+MADE = ("deblur0/deblurred.ome.tif", "resample0/resampled.ome.tif")
+
+
 def _kill_the_first(stage, k):
     """Runs in a worker: the first that comes dies before its slab is marked, as if its power was cut."""
     once = Path(os.environ["KILL_ONCE"])
@@ -197,9 +201,16 @@ def test_workers_of_which_one_is_killed_give_the_same(
     words = ["mask.threshold:above=110", "--then", "label.components:rule=6"]
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster:
         assert process(data, tmp_path / "out", *words, "--scheduler", cluster.scheduler_address) == 0
-    assert (tmp_path / "killed").exists()
+        assert (tmp_path / "killed").exists()
+        for command, options in STACKS.items():
+            for where in ([], ["--scheduler", cluster.scheduler_address]):
+                asked = ["process", command, str(data), "-o", str(tmp_path / f"{command}{len(where)}"), *options]
+                assert run([*asked, *SIZES, "-q", *where]) == 0
     mask = threshold(GREY, above=110)[0]
     np.testing.assert_array_equal(image(tmp_path / "out"), components(mask, rule=6)[0])
+    for name in MADE:
+        there = tmp_path / name.replace("0/", "2/")
+        np.testing.assert_array_equal(tifffile.imread(there), tifffile.imread(tmp_path / name))
 
 
 @pytest.mark.parametrize("memory", [[], ["--memory", "2GB"]])
