@@ -245,27 +245,30 @@ def stop_rows(server, wire: Path, stops: int):
             time.sleep(REST_S)
             client.clear_stop()
         client.stop_live()
-    late_ms.sort()
-    p99_ms = late_ms[min(int(0.99 * stops), stops - 1)]
     return [
         (f"Esc at the keyboard to the stop on the wire, median of {stops}, ms", statistics.median(late_ms), None),
-        ("the same, 99th percentile, ms", p99_ms, 100),
+        ("the same, 99th percentile, ms", float(np.percentile(late_ms, 99)), 100),
+        ("the same, longest, ms", max(late_ms), None),
     ]
 
 
 def stopped_after_s(keyboard, wire: Path) -> float:
     """Press Esc and return how long it took until a halt was on the line of the stage."""
-    with wire.open() as lines:
-        lines.seek(0, os.SEEK_END)
+    with wire.open("rb") as lines:
+        lines.seek(-1, os.SEEK_END)
+        whole = lines.read(1) == b"\n"  # else the rest of a line that is being written comes first
         pressed_s = time.monotonic()
         keyboard.escape(down=True)
-        line = ""
+        line = b""
         while True:
             line += lines.readline()
-            if not line.endswith("\n"):  # half of it may be written
+            if not line.endswith(b"\n"):  # half of it may be written
                 time.sleep(0.002)
                 continue
-            told, line = json.loads(line), ""
+            if not whole:
+                line, whole = b"", True
+                continue
+            told, line = json.loads(line), b""
             if told["to"] == "device" and told["bytes"].startswith(HALT):
                 keyboard.escape(down=False)
                 return told["t"] - pressed_s
