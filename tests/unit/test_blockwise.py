@@ -127,7 +127,7 @@ def test_a_job_that_was_left_goes_on_where_it_was(
 @pytest.mark.parametrize(
     ("words", "code"),
     [
-        (["distance.map", "--memory", "1GB"], "blockwise"),
+        (["distance.map", "--memory", "100GB"], "blockwise"),
         (["filter.sobel", "--memory", "much"], "memory"),
         (["filter.sobel", "--memory", "1MB"], "memory"),
         (["filter.sobel", "--scheduler", "tcp://127.0.0.1:9"], "scheduler"),
@@ -213,7 +213,7 @@ def test_workers_of_which_one_is_killed_give_the_same(
         np.testing.assert_array_equal(tifffile.imread(there), tifffile.imread(tmp_path / name))
 
 
-@pytest.mark.parametrize("memory", [[], ["--memory", "2GB"]])
+@pytest.mark.parametrize("memory", [[], ["--memory", "100GB"]])
 def test_sizes_that_are_not_known_are_not_written(data: Path, tmp_path: Path, memory: list[str]) -> None:
     out = tmp_path / "out"
     assert run(["process", "volume", "filter.sobel", str(data), "-o", str(out), "-q", *memory]) == 0
