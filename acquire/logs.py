@@ -115,6 +115,8 @@ class Tail:
 
     def entries(self) -> list[str]:
         """Return the entries added since the last call."""
+        if not self.file.exists():  # it makes room for another one just now
+            return []
         with self.file.open("rb") as file:
             if os.fstat(file.fileno()).st_size < self._read:
                 self._read = 0

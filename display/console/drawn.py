@@ -100,9 +100,11 @@ class Drawn:
     def third(self) -> str:
         """What the third number of a place is: ``height``, ``depth``, or nothing where a pixel is no place."""
         mode = self.wish.shown.mode
+        if self.scene.stereo.mode != "mono":  # each eye sees it elsewhere
+            return ""
         if mode in FLAT[:2]:
             return "" if self.heights is None else "height"
-        return "depth" if mode in CUTS and self.scene.stereo.mode == "mono" else ""
+        return "depth" if mode in CUTS else ""
 
     @property
     def unit(self) -> str:

@@ -229,12 +229,13 @@ class Console:
 
     def _monitor(self) -> None:
         """Watch the pictures of a run; previews from afar cannot be judged."""
-        seen, run = self.eyes.seen, self.run
-        if seen is None or run is None or not self.running or self.eyes.afar:
+        seen, run = self.eyes.seen, self.run if self.running else None
+        if self.eyes.afar:
             return
-        if words := self.monitor.take(seen, run):
+        words = self.monitor.rest(seen) if run is None or seen is None else self.monitor.take(seen, run)
+        if words:
             self.journal.add("error", "monitor", words)
-            if self.monitor.pauses and self.bench.commands and run.state == RunState.RUNNING:
+            if self.monitor.pauses and self.bench.commands and run is not None and run.state == RunState.RUNNING:
                 self.bench.ask(requests.PauseRun(scope="before_cut" if self.monitor.of_sections else "plane"), "run")
 
     def _stick_due(self) -> None:

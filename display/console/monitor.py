@@ -96,6 +96,12 @@ class Monitor:
         self._put(step_of(seen, number))
         return words
 
+    def rest(self, seen: Seen | None) -> str:
+        """Note that no run is under way: what is seen now belongs to none to come. Judges the last step as `take`."""
+        self._frame = self._frame if seen is None else seen.number
+        words, self._open = self.outside(self._open), None
+        return words
+
     def outside(self, number: int | None) -> str:
         """Return in words which limit a step is outside of; empty for none, and for one that was not seen."""
         step = None if number is None else self.steps.get(number)

@@ -60,6 +60,16 @@ def test_a_picture_outside_its_limits_is_told_once_it_is_over():
     assert told == ["", "mean grey level 300 of section 3 is outside 404 … 606", ""]
 
 
+def test_the_last_picture_of_a_run_is_judged_when_it_is_over_and_none_goes_into_the_next_run():
+    monitor, _ = fed(frame(1, 500), frame(2, 900, plane=1))
+    monitor.limits = {"mean": (400, 600)}
+    late = frame(3, 505, plane=2)  # came when the run was over
+    assert monitor.rest(late) == "mean grey level 900 of plane 2 is outside 400 … 600"
+    assert not monitor.rest(late)
+    assert not monitor.take(late, run(number=2))
+    assert not monitor.steps
+
+
 def test_another_run_begins_anew_and_live_frames_and_other_bands_are_left_out():
     monitor, _ = fed(frame(1, 500), frame(2, 500, plane=-1), frame(3, 500, plane=1, band=1))
     assert list(monitor.steps) == [0]

@@ -72,6 +72,8 @@ def test_over_a_range_image_the_third_is_the_height_and_where_none_was_found_the
     assert drawn.place_um(drawn.pixel_of((10.6 / 40 * wide_um, 10.6 / 30 * 14.5, 0.0))) is None
     assert drawn.place_um((-1, 5)) is None
     assert not drawn_of("range", drawn.scene).third
+    pair = replace(drawn.scene, stereo=replace(drawn.scene.stereo, mode="parallel"))
+    assert not drawn_of("range", pair, heights).third
 
 
 def test_pictures_without_places_have_none():

@@ -175,8 +175,10 @@ def _hands(viewing: Viewing, drawn: Drawn, at: tuple[float, float]) -> None:
     if io.mouse_wheel:
         viewing.nearer(io.mouse_wheel)
     place = (int(io.mouse_pos.x - at[0]), int(io.mouse_pos.y - at[1]))
-    if drawn.third and (io.key_ctrl or imgui.is_key_pressed(imgui.Key.p, False)):  # noqa: FBT003  the library's
-        _pick(viewing, drawn, place)
+    picked = imgui.is_key_pressed(imgui.Key.p, False)  # noqa: FBT003  the library's
+    if drawn.third and (picked or io.key_ctrl):
+        if picked or imgui.is_mouse_clicked(imgui.MouseButton_.left):
+            _pick(viewing, drawn, place)
         return
     if viewing.flat and imgui.is_mouse_down(imgui.MouseButton_.left):
         start = place if imgui.is_mouse_clicked(imgui.MouseButton_.left) or viewing.line is None else viewing.line[0]
@@ -188,9 +190,8 @@ def _hands(viewing: Viewing, drawn: Drawn, at: tuple[float, float]) -> None:
 
 
 def _pick(viewing: Viewing, drawn: Drawn, pixel: tuple[int, int]) -> None:
-    """Add the place under the mouse to the line of points, when it is clicked or its key pressed."""
-    pressed = imgui.is_mouse_clicked(imgui.MouseButton_.left) or imgui.is_key_pressed(imgui.Key.p, False)  # noqa: FBT003
-    if pressed and (found := drawn.place_um(pixel)) is not None:
+    """Add the place under the mouse to the line of points, where there is one."""
+    if (found := drawn.place_um(pixel)) is not None:
         viewing.picks.add(found, drawn.third, drawn.unit)
 
 
