@@ -216,6 +216,10 @@ def _measured(console: Console, drawn: Drawn, at: tuple[float, float]) -> None:
     if viewing.line is None or viewing.line[0] == viewing.line[1] or drawn.wish.shown.mode not in FLAT[:2]:
         return
     lines = imgui.get_window_draw_list()
+    if drawn.scene.stereo.mode != "mono":  # each eye sees the line's ends elsewhere
+        words = "measured with one eye only: choose mono"
+        w.over_picture(lines, imgui.ImVec2(at[0] + w.em(0.5).x, at[1] + w.em(2.4).x), words, w.YELLOW)
+        return
     start, end = (imgui.ImVec2(at[0] + x, at[1] + y) for x, y in drawn.ends_px(viewing.line).tolist())
     lines.add_line(start, end, w.YELLOW, 2.0)
     words = f"{drawn.length_um(viewing.line):.2f} µm"
