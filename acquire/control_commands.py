@@ -169,6 +169,8 @@ def _words(state: replies.State) -> Iterator[str]:
     where = "unknown" if state.z_um is None else f"{state.z_um:+.2f} µm"
     yield f"{state.state}{', STOPPED' if state.stopped else ''}; commanded by {state.holder or 'nobody'}"
     yield f"z stage: {where}; camera: {state.camera}, {state.exposure_ms:g} ms{', live' if state.live else ''}"
+    if state.why_stopped:
+        yield f"stopped: {state.why_stopped}"
     if state.run is not None:
         yield from _run_words(state.run)
 

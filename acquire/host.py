@@ -54,7 +54,7 @@ class Host:
         self._feed_view: replies.FeedView | None = None
         self._holder = ""
         self._stops = 0
-        self._stopped = False
+        self._stopped, self._why_stopped = False, ""
         self._free = threading.Lock()
         self._by_hand = 0
         self._run_comes = False
@@ -114,6 +114,7 @@ class Host:
             camera=f"{width} x {height}{f' x {bands[0]}' if bands else ''} {self.live.caps.dtype}",
             holder=self._holder,
             stopped=self._stopped,
+            why_stopped=self._why_stopped,
             run=run,
             feed=self._feed_view,
             utc_ns=time.time_ns(),
@@ -138,13 +139,14 @@ class Host:
             )
         )
 
-    def stop_all(self) -> replies.Stopped:
+    def stop_all(self, why: str = "") -> replies.Stopped:
         """Stop all motion now: every device by its own way past whatever is going on; waits for no lock.
 
-        Motion is refused afterwards until `clear_stop`. May be called by any thread, and again at any time.
+        Motion is refused afterwards until `clear_stop`. May be called by any thread, and again at any time; ``why``
+        is told where nobody asked for it.
         """
         self._stops += 1
-        self._stopped = True
+        self._stopped, self._why_stopped = True, why or self._why_stopped
         session = self.run.session() if self.run.active else None
         told = stop_devices(self._rig, session.stop if session else None)
         for _ in range(AGAIN):  # a motion that was just about to begin when the first word went out
@@ -157,7 +159,7 @@ class Host:
 
     def clear_stop(self) -> None:
         """Allow motion again."""
-        self._stopped = False
+        self._stopped, self._why_stopped = False, ""
         self._look_now.set()
 
     def close(self) -> None:

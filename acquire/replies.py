@@ -228,6 +228,8 @@ class State(Reply, frozen=True, kw_only=True, tag="state"):
         Who commands; empty when nobody.
     stopped : bool
         Motion is refused until `ClearStop`.
+    why_stopped : str
+        Why, where nobody asked for it.
     run : RunView or None
         The run under way, or the last one.
     """
@@ -244,6 +246,7 @@ class State(Reply, frozen=True, kw_only=True, tag="state"):
     run: RunView | None = None
     feed: FeedView | None = None
     utc_ns: int = 0
+    why_stopped: str = ""
 
 
 class Event(Reply, frozen=True, kw_only=True, tag="event"):

@@ -18,7 +18,7 @@ from acquire.keys import ServerKeys
 from acquire.logs import logged
 from acquire.meeting import addresses
 from acquire.server import serving
-from acquire.watchdog import Watchdog
+from acquire.watchdog import DEAD_AFTER_S, Watchdog
 from acquire.web_process import observed_at, observer_page
 from devices.clock import SystemClock
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 CLOCK = SystemClock()
 LOOK_S = 0.5
+GIVEN_UP = f"the instrument process stood still for {DEAD_AFTER_S:g} s: its watchdog stopped all motion."
 
 
 def serve(
@@ -77,7 +78,7 @@ def serve(
         rig = stack.enter_context(opened(spec, CLOCK, transcript, home=sim))
         watchdog.wait_until_ready()
         file, host = stack.enter_context(serving(rig, CLOCK, endpoints, keys=guarded, beat=watchdog.beat))
-        watchdog.halted = host.stop_all
+        watchdog.halted = lambda: host.stop_all(GIVEN_UP)
         told = {"instrument": spec.name, "connection": str(file)}
         if where is not None:
             told["page"] = stack.enter_context(observer_page(file, *where))

@@ -31,6 +31,7 @@ log = logging.getLogger(__name__)
 DEAD_AFTER_S = 5.0
 LOOK_EVERY_S = 0.25
 BEAT_EVERY_S = 0.5
+SECOND_HALT_S = 3.0
 READY_S = 60.0
 BEAT, BYE = b".", b"q"
 READY, HALTED = b"r", b"h"
@@ -109,9 +110,15 @@ class Watchdog:
         self._beaten_s = now
         with contextlib.suppress(OSError):  # it has died, or has not read for long: nobody can be told
             os.write(self._to, BEAT)
-        if select.select([self._from], [], [], 0)[0] and os.read(self._from, 64):
+        if halts := self._halts(0.0):
             log.error("the watchdog halted the devices: this process was silent for %g s", DEAD_AFTER_S)
             threading.Thread(target=self.halted, name="given up", daemon=True).start()
+            if halts % 2:  # one more comes now that this process woke: what is commanded before would be halted by it
+                self._halts(SECOND_HALT_S)
+
+    def _halts(self, wait_s: float) -> int:
+        """Return how often it said that it has halted the devices, waiting for the first word."""
+        return len(os.read(self._from, 64)) if select.select([self._from], [], [], wait_s)[0] else 0
 
     def close(self) -> None:
         """Send it away, and wait until it has gone."""

@@ -238,10 +238,12 @@ class Bench:
 
     def _heard(self, told: replies.Told) -> None:
         if isinstance(told, replies.State):
-            news = structs.replace(told, z_age_s=0.0, utc_ns=0)
-            if news != self._news:
+            news, before = structs.replace(told, z_age_s=0.0, utc_ns=0), self._news
+            if news != before:
                 self._news = news
                 self.wake()
+            if news.why_stopped and (before is None or not before.why_stopped):
+                self._journal.add("error", "STOP", news.why_stopped)
         if isinstance(told, replies.Event) and (words := event_words(told.event)):
             self._journal.add(words[0], "run", words[1])
 

@@ -34,6 +34,7 @@ park_um = -80.0
 """
 BLOCK = BENCH.replace("[48, 40]", "[160, 128]") + '\n[sim]\nspecimen = "block"\nseed = 11\n'
 HAND = Path(__file__).with_name("hand.py")
+PATIENCE_S = 280
 PICTURES = os.environ.get("STEREOTOME_PICTURES")  # where the pictures of the documentation are wanted
 SCALE = float(os.environ.get("STEREOTOME_SCALE", "1"))  # 2: all of them at 200 %
 
@@ -86,11 +87,12 @@ def drive(screen, tmp_path, bench):
                 "XDG_CONFIG_HOME": str(tmp_path),
                 "XDG_RUNTIME_DIR": str(server.runtime),
                 "STEREOTOME_BENCH": bench.told["control"],
+                "STEREOTOME_HANGS_S": str(PATIENCE_S - 10),
             },
             cwd=tmp_path,
             capture_output=True,
             text=True,
-            timeout=280,
+            timeout=PATIENCE_S,
         )
         if PICTURES:
             make_small(folder)

@@ -12,6 +12,7 @@ from hand import KEY, MENU
 from imgui_bundle import imgui
 
 from acquire.frame import FrameHeader
+from acquire.watchdog import DEAD_AFTER_S
 from display.console.eyes import look
 from display.console.keys import PANELS
 from display.console.moving import Marks
@@ -192,7 +193,9 @@ def troubles(hand):
     console = hand.console
     server = json.loads(hand.connection.read_text())["pid"]
     os.kill(server, signal.SIGSTOP)
-    hand.wait(lambda: not console.bench.connected)
+    woken_s = console.clock.now() + DEAD_AFTER_S + 1
+    hand.wait(lambda: console.clock.now() > woken_s)  # its watchdog halted the stage
+    assert not console.bench.connected
     hand.key(KEY.page_up)
     hand.wait(lambda: "does not answer" in console.notice)
     hand.key(KEY.escape)
@@ -200,6 +203,7 @@ def troubles(hand):
     hand.shot("console_silent")
     os.kill(server, signal.SIGCONT)
     hand.wait(lambda: console.bench.commands and console.state.stopped and not console.bench.stop_asked)
+    assert "watchdog" in console.state.why_stopped
     hand.click(MENU, "Release")
     hand.wait(lambda: not console.stopped)
     other_frames(hand)

@@ -3,6 +3,7 @@
 The function is one of `driven`, and is given a `Hand`. The program ends with 0, or with what went wrong.
 """
 
+import faulthandler
 import json
 import os
 import socket
@@ -136,6 +137,7 @@ class Hand:
 def main(function, connection, folder, scale):
     import driven
 
+    faulthandler.dump_traceback_later(float(os.environ["STEREOTOME_HANGS_S"]))  # who hangs says where
     with ExitStack() as stack:
         served = Later() if connection == "later" else Served(Path(connection))
         stack.callback(served.end)

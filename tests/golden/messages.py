@@ -42,6 +42,7 @@ STATE = a.State(
     run=RUN,
     feed=a.FeedView(state="ready", depth_nm=1400.0, knife="clear", cuts=3),
     utc_ns=1_795_645_701_337_418_803,
+    why_stopped="it stood still.",
 )
 EVENT = a.Event(event={"event": "plane", "plane": 7, "z_um": -2.5})
 PREVIEW = a.Preview(

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from acquire import replies, requests
 from acquire.frame import FrameHeader
@@ -169,6 +170,15 @@ def test_a_stop_that_got_no_answer_is_sent_again_to_the_instrument_once_it_is_ba
     assert type(back.asked[0][0]) is requests.Stop
     back.asked[0][1].set_result(replies.Stopped(told=("z stage",), failed=()))
     until(lambda: bench.settle() or not bench.stop_asked)
+
+
+def test_why_it_stopped_is_an_error_told_once_where_nobody_asked_for_it(start):
+    there = FakeInstrument()
+    bench, journal = start(there)
+    until(lambda: bench.commands)
+    for state in (STATE, *[structs.replace(STATE, stopped=True, why_stopped="it stood still.")] * 2):
+        there.listener(state)
+    assert words(journal, "error") == ["it stood still."]
 
 
 def test_only_news_wake_the_window(start):

@@ -147,14 +147,19 @@ def test_kill_9_during_a_move_stops_the_stage(moving):
     assert_at_rest_on_the_way(bench)
 
 
-def test_a_stopped_process_is_given_up_and_moves_nothing_when_it_wakes(moving):
+def test_a_stopped_process_is_given_up_and_moves_nothing_when_it_wakes_until_it_is_released(moving):
     server, client, bench = moving
     server.process.send_signal(signal.SIGSTOP)
     assert_at_rest_on_the_way(bench)
     rest_um = bench.ask(do="truth")["z_um"]
     server.process.send_signal(signal.SIGCONT)
-    client.wait_for(lambda state: state.stopped, PATIENCE_S)
+    state = client.wait_for(lambda state: state.stopped, PATIENCE_S)
+    assert "its watchdog stopped all motion" in state.why_stopped
     assert bench.ask(do="truth")["z_um"] == pytest.approx(rest_um, abs=1.0)
+    client.clear_stop()
+    assert client.jog(2.0) == pytest.approx(rest_um + 2.0, abs=1.5)  # its last halt was before the release, not now
+    state = client.refresh()
+    assert (state.stopped, state.why_stopped) == (False, "")
 
 
 @pytest.mark.parametrize("signum", [signal.SIGKILL, signal.SIGSTOP])
