@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from devices.protocols import Feed, Stage
 
-REPEAT_S = 0.05
+REPEAT_S, SELDOM_S = 0.05, 0.8
 
 
 class Halting:
@@ -79,9 +79,12 @@ class Halting:
             threading.Thread(target=self._repeat, name="halting", daemon=True).start()
 
     def _repeat(self) -> None:
-        while not self._left.wait(REPEAT_S):
+        """Halt again, each time after twice as long: what the run asks meanwhile is answered in between."""
+        wait_s = REPEAT_S
+        while not self._left.wait(wait_s):
             with suppress(StereotomeError):  # the run's own thread meets the same fault, and tells it
                 self.everything()
+            wait_s = min(2 * wait_s, SELDOM_S)
 
 
 def _noting(halt: Callable[[], None], failures: list[StereotomeError]) -> None:

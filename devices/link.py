@@ -49,7 +49,7 @@ class Link:
     timeout_s : float
         For one reply, from the request's last byte to its own, unless the request says something else.
     attempts : int
-        How often a repeatable request is sent at most.
+        How often a repeatable request is sent at most; those that a halt broke into are not counted.
     reopen : callable, optional
         Opens the transport anew.
     """
@@ -98,18 +98,20 @@ class Link:
             It would move, but the position is unknown (position-unknown), or a halt came before (device-halted).
         """
         wished = self._interruptions
-        for _ in range(self._attempts - 1 if request.repeatable else 0):
+        left = self._attempts if request.repeatable else 1
+        while True:
+            before = self._interruptions
             try:
                 return self._once(request, wished)
             except LinkLost:
                 raise
             except LinkError as error:
+                interrupted = self._interruptions != before
+                left -= not (interrupted and request.repeatable)
+                if not left:
+                    self._unknown |= self._reopen is not None and isinstance(error, NoReply) and not interrupted
+                    raise
                 log.warning("%s: %s asking again", self.name, error.what)
-        try:
-            return self._once(request, wished)
-        except NoReply:
-            self._unknown |= self._reopen is not None and self._interruptions == wished
-            raise
 
     def interrupt(self, request: Request[T]) -> T:
         """Send a request without waiting for the conversation going on, then ask it in turn for its reply.

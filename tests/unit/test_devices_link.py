@@ -150,12 +150,12 @@ class Stuck:
 
 def test_a_halt_does_not_wait_for_a_reply_that_never_comes():
     stuck = Stuck()
-    link = Link(Loopback(stuck.feed, stuck), stuck, terminator=asi.TERMINATOR, attempts=1)
+    link = Link(Loopback(stuck.feed, stuck), stuck, terminator=asi.TERMINATOR)
     errors: list[Exception] = []
 
     def ask() -> None:
         try:
-            link.ask(asi.where())
+            link.ask(Request(b"W Z\r", asi.where().decode, repeatable=False))
         except (NoReply, MalformedReply) as error:
             errors.append(error)
 
@@ -166,6 +166,40 @@ def test_a_halt_does_not_wait_for_a_reply_that_never_comes():
     asking.join(10)
     assert stuck.seconds < 0.05, "a cancelled run waited for the line"
     assert isinstance(errors[0], NoReply), "the interrupted question took the halt's reply for its own"
+
+
+class Interrupted(SteppingClock):
+    """A controller that answers at once unless a halt broke in, and a clock in whose first five waits one does."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.link = Link(Loopback(self.feed, self), self, terminator=asi.TERMINATOR)
+        self.asking = threading.current_thread()
+        self.halted = threading.Event()
+        self.halts: list[threading.Thread] = []
+
+    def feed(self, data: bytes) -> list[bytes]:
+        if data == b"\\\r":
+            self.halted.set()
+            return [b":N-21\r\n"]
+        return [b":A 222\r\n"] if len(self.halts) == 5 else []
+
+    def sleep(self, seconds: float) -> None:
+        super().sleep(seconds)
+        if threading.current_thread() is self.asking and len(self.halts) < 5 and self.link._conversation.locked():
+            self.halted.clear()
+            self.halts.append(threading.Thread(target=self.link.interrupt, args=[asi.halt()]))
+            self.halts[-1].start()
+            assert self.halted.wait(10)
+
+
+def test_a_question_that_halts_broke_into_is_asked_until_it_is_answered():
+    controller = Interrupted()
+    assert controller.link.ask(asi.where()) == 222
+    for halt in controller.halts:
+        halt.join(10)
+    assert len(controller.halts) == 5
+    assert controller.link.position_known
 
 
 @given(st.binary(max_size=30))
