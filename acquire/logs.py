@@ -85,7 +85,7 @@ def logs(
     follow
         Go on with what comes, until Ctrl-C.
     """
-    files = [run / RUN_LOG] if run is not None else sorted(logs_folder().glob("*.log"))
+    files = _files(run)
     if not files or not all(file.exists() for file in files):
         raise InputError(
             f"there is no log in {logs_folder() if run is None else run}.",
@@ -93,13 +93,14 @@ def logs(
             fix="name a run: stereotome logs --run FOLDER",
             code="no-log",
         )
-    tails = [Tail(file, level) for file in files]
-    kept = (chain(_before(tail), tail.entries()) for tail in tails)
+    tails = {file: Tail(file, level) for file in files}
+    kept = (chain(_before(tail), tail.entries()) for tail in tails.values())
     _show(deque(heapq.merge(*kept), maxlen=max(last, 0)))
     with suppress(KeyboardInterrupt):
         while follow:
             CLOCK.sleep(LOOK_S)
-            _show(heapq.merge(*(tail.entries() for tail in tails)))
+            tails |= {file: Tail(file, level) for file in _files(run) if file not in tails}
+            _show(heapq.merge(*(tail.entries() for tail in tails.values())))
 
 
 class Tail:
@@ -124,6 +125,11 @@ class Tail:
             whole = file.read().rpartition(b"\n")
         self._read += len(whole[0]) + len(whole[1])
         return list(entries(whole[0].decode(errors="replace").split("\n"), self.level))
+
+
+def _files(run: Path | None) -> list[Path]:
+    """Return the log of a run, or those of all consoles and instrument processes so far."""
+    return [run / RUN_LOG] if run is not None else sorted(logs_folder().glob("*.log"))
 
 
 def entries(lines: Iterable[str], level: Level) -> Iterator[str]:

@@ -181,7 +181,9 @@ def form_of(text: str) -> StackForm:
         sections=SectionsForm() if recipe.sections is None else _sections_of(recipe.sections),
         **_spacing_of(stack),
     )
-    if lacking := differences(recipe.model_dump(), recipe_from_text(form.recipe(), "the form").model_dump()):
+    made = recipe_from_text(form.recipe(), "the form").model_dump()
+    said = recipe.model_dump(exclude_unset=True)
+    if lacking := differences(said, made) or differences(recipe.model_dump(), made):
         raise PlanError(
             f"the form has no field for {', '.join(lacking)}.",
             fix="queue the recipe as it is: it runs all the same.",

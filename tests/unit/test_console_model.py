@@ -161,6 +161,7 @@ def test_a_recipe_beyond_the_form_is_refused_and_the_form_stays(console, more, l
     words = console.fill_form(f"[stack]\naround_um = 4\nplanes = 3\n{more}\n")
     assert f"no field for {lacking}. The form is as it was." in words
     assert console.form is form
+    assert "no field for stack.positions_um." in console.fill_form("[stack]\npositions_um = [0.0, 1.0, 5.0]\n")
     assert "give top_um and bottom_um" in console.fill_form("[stack]")
     assert console.form is form
 

@@ -69,12 +69,14 @@ def test_what_comes_is_followed_and_a_file_begun_anew_is_read_from_its_start(sta
     assert tail.entries() == [f"{stamp} new\n"]
 
 
-def test_following_goes_on_until_ctrl_c(state):
+def test_following_takes_in_logs_begun_since_and_goes_on_until_ctrl_c(state):
     write("console", "before")
     with subprocess.Popen([*PROGRAM, "logs", "-f"], stdout=subprocess.PIPE, text=True) as following:
         assert following.stdout.readline().endswith("before\n")
         write("console", "after")
         assert following.stdout.readline().endswith("after\n")
+        write("serve-late", "begun since")
+        assert following.stdout.readline().endswith("begun since\n")
         following.send_signal(2)
         assert not following.stdout.read()
     assert following.returncode == 0
