@@ -9,6 +9,7 @@ import cc3d
 import numpy as np
 
 from devices.errors import InputError
+from processing.flooding import flooded
 from processing.labels import checked_rule
 from processing.masks import AS_MASK, to_mask
 from processing.morphology import extreme
@@ -111,9 +112,7 @@ def around_value(grey: Array, place: Place, value: float, tolerance: float, rule
     def join(part: Array, seed: Place) -> Inside:
         within: Inside = (part >= low) & (part <= high)
         within[seed] = True
-        labels: Array = cc3d.connected_components(within, connectivity=rule, binary_image=True)
-        same: Inside = labels == labels[seed]
-        return same
+        return flooded(within, seed, rule)
 
     return spread(grey, place, join)
 
