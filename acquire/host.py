@@ -54,6 +54,7 @@ class Host:
         self._feed_view: replies.FeedView | None = None
         self._holder = ""
         self._stops = 0
+        self._stopping: set[object] = set()
         self._stopped, self._why_stopped = False, ""
         self._free = threading.Lock()
         self._by_hand = 0
@@ -142,25 +143,25 @@ class Host:
     def stop_all(self, why: str = "") -> replies.Stopped:
         """Stop all motion now: every device by its own way past whatever is going on; waits for no lock.
 
-        Motion is refused afterwards until `clear_stop`. May be called by any thread, and again at any time; ``why``
+        Motion is refused afterwards until `ClearStop`. May be called by any thread, and again at any time; ``why``
         is told where nobody asked for it.
         """
+        this = object()
+        self._stopping.add(this)
         self._stops += 1
         self._stopped, self._why_stopped = True, why or self._why_stopped
         session = self.run.session() if self.run.active else None
-        told = stop_devices(self._rig, session.stop if session else None)
-        for _ in range(AGAIN):  # a motion that was just about to begin when the first word went out
-            if not self._lanes["motion"].busy:
-                break
-            self._clock.sleep(AGAIN_S)
-            stop_devices(self._rig, None)
+        try:
+            told = stop_devices(self._rig, session.stop if session else None)
+            for _ in range(AGAIN):  # a motion that was just about to begin when the first word went out
+                if not self._lanes["motion"].busy:
+                    break
+                self._clock.sleep(AGAIN_S)
+                stop_devices(self._rig, None)
+        finally:
+            self._stopping.discard(this)
         self._look_now.set()
         return told
-
-    def clear_stop(self) -> None:
-        """Allow motion again."""
-        self._stopped, self._why_stopped = False, ""
-        self._look_now.set()
 
     def close(self) -> None:
         """End the run after its plane, everything else at once."""
@@ -178,6 +179,8 @@ class Host:
         self._check_expected(request)
         if request.lane == "run":
             return self._about_run(request)
+        if isinstance(request, requests.ClearStop):
+            return self._release()
         if self._stopped and request.lane == "motion":
             raise Unsafe("the instrument was stopped. Nothing moved.", fix="clear the stop first", code="serve-stopped")
         self._take_by_hand()
@@ -187,6 +190,18 @@ class Host:
             with self._free:
                 self._by_hand -= 1
             self._look_now.set()
+
+    def _release(self) -> replies.Done:
+        """Allow motion again, once every stop under way has said its last word: it would stop what moves then."""
+        stops = self._stops
+        while self._stopping:
+            self._clock.sleep(AGAIN_S)
+        self._stopped, self._why_stopped = False, ""
+        if stops != self._stops:
+            self._stopped = True
+            raise Unsafe("a further stop came before the release. It stays stopped.", code="serve-stopped")
+        self._look_now.set()
+        return replies.Done()
 
     def _check_expected(self, request: requests.AnyRequest) -> None:
         state = self.state

@@ -162,8 +162,6 @@ class Reception:
                 return replies.Lease(token=self._book.take(request.actor), lasts_s=self._book.lasts_s)
             case requests.ReleaseLease():
                 self._book.release(header.lease)
-            case requests.ClearStop():
-                self._host.clear_stop()
             case requests.KeepLease():
                 pass
             case _:

@@ -229,7 +229,9 @@ class NoteRun(Request, frozen=True, kw_only=True, tag="note-run"):
 
 
 class ClearStop(Request, frozen=True, kw_only=True, tag="clear-stop"):
-    """Allow motion again after a stop."""
+    """Allow motion again after a stop, once what it halted is at rest."""
+
+    lane: ClassVar[Lane] = "motion"
 
 
 class Stop(Request, frozen=True, kw_only=True, tag="stop"):

@@ -40,9 +40,6 @@ class Bench:
     def held_by(self, holder):
         self.holder = holder
 
-    def clear_stop(self):
-        self.carried_out.append("clear")
-
 
 @pytest.fixture
 def bench():
