@@ -53,9 +53,9 @@ def _frames(console: Console) -> None:
     kept = console.eyes.kept
     if w.button("Clip" if kept is None else f"End clip ({len(kept)})", "", "keep frames as they come, as a file"):
         console.camera.record()
-    exposure_ms = state.exposure_ms if state is not None else 0.0
+    exposure_ms = state.exposure_ms if state is not None else console.camera.exposure_ms  # as it was known last
     if console.camera.exposure_ms is None:
-        console.camera.exposure_ms = exposure_ms
+        console.camera.exposure_ms = exposure_ms or 0.0
     entered, console.camera.exposure_ms = w.number("ms exposure", console.camera.exposure_ms, 5, "%.1f")
     if entered and console.camera.exposure_ms > 0:
         console.camera.set_exposure(console.camera.exposure_ms)
